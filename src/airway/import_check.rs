@@ -36,6 +36,10 @@ const MOST_GROWTH: f64 = 1.02;
 const LEAST_VARIANCE: f64 = 1e-3;
 /// Units that files come in, with their size in mm.
 const UNITS: [(&str, f64); 4] = [("centimetres", 10.0), ("metres", 1000.0), ("inches", 25.4), ("micrometres", 1e-3)];
+/// Part of the trachea's width that it still has at least below a side branch, and that such a branch has at most: the
+/// narrower main bronchus has more than half of it.
+const TRACHEA_GOES_ON: f64 = 0.8;
+const SIDE_BRANCH: f64 = 0.5;
 /// Part of the way from the tree to the trachea's top that lies along the axis to the head.
 const UPRIGHT: f64 = 0.7;
 /// How many times as wide from side to side as from front to back a tree is, at least.
@@ -240,7 +244,8 @@ fn longest_side(points: impl Iterator<Item = DVec3>) -> f64 {
     (high - low).max_element().max(0.0)
 }
 
-/// The widest branch that ends, as the trachea, with the bronchi at its other end; `None` without a bifurcation.
+/// The widest branch that ends, as the trachea, with the bronchi where it divides; `None` without a bifurcation. A thin
+/// branch of its side is none of them: one person in a hundred has a bronchus of the right upper lobe there.
 fn stem(centerline: &Centerline) -> Option<Stem> {
     let points = &centerline.points;
     let mut neighbours: Vec<Vec<usize>> = vec![Vec::new(); points.len()];
@@ -266,20 +271,34 @@ fn stem(centerline: &Centerline) -> Option<Stem> {
     };
     let width = |way: &[usize]| upper_median(way.iter().map(|&p| points[p].radius_mm)).expect("a branch has points");
     let ends = (0..points.len()).filter(|&p| neighbours[p].len() == 1);
-    let trachea = ends
+    let mut trachea = ends
         .map(|end| branch(end, neighbours[end][0]))
         .filter(|way| neighbours[way[way.len() - 1]].len() > 2 && length(way) >= LEAST_TRACHEA_MM)
         .max_by(|a, b| width(a).total_cmp(&width(b)))?;
-    let (carina, before) = (trachea[trachea.len() - 1], trachea[trachea.len() - 2]);
-    let daughters = neighbours[carina].iter().filter(|&&n| n != before);
-    let mut bronchi: Vec<MainBronchus> = daughters
-        .map(|&next| {
-            let way = branch(carina, next);
+    let daughters = |way: &[usize]| -> Vec<Vec<usize>> {
+        let (end, before) = (way[way.len() - 1], way[way.len() - 2]);
+        let mut ways: Vec<_> =
+            neighbours[end].iter().filter(|&&n| n != before).map(|&next| branch(end, next)).collect();
+        ways.sort_by(|a, b| width(b).total_cmp(&width(a)));
+        ways
+    };
+    let whole = width(&trachea);
+    let mut ways = daughters(&trachea);
+    while let [wide, thin @ ..] = ways.as_slice()
+        && width(wide) > TRACHEA_GOES_ON * whole
+        && thin.iter().all(|way| width(way) < SIDE_BRANCH * whole)
+        && neighbours[wide[wide.len() - 1]].len() > 2
+    {
+        trachea.extend(&wide[1..]);
+        ways = daughters(&trachea);
+    }
+    let bronchi = ways
+        .iter()
+        .map(|way| {
             let end_mm = points[way[way.len() - 1]].position_mm;
-            MainBronchus { length_mm: length(&way), radius_mm: width(&way), end_mm }
+            MainBronchus { length_mm: length(way), radius_mm: width(way), end_mm }
         })
         .collect();
-    bronchi.sort_by(|a, b| b.radius_mm.total_cmp(&a.radius_mm));
     Some(Stem { trachea, bronchi })
 }
 
@@ -415,6 +434,31 @@ mod tests {
         // A bent neck is no error.
         let trachea = |p: DVec3| if p.z > 0.0 { DVec3::new(p.x, 50.0 - p.y, p.z) } else { p };
         check_stem(&mapped(&line, trachea), PatientAxes::LPS, FrameSource::Options).unwrap();
+    }
+
+    /// A bronchus of the right upper lobe that leaves the trachea above its division is a part of a human airway.
+    #[test]
+    fn a_tracheal_bronchus_is_no_main_bronchus() {
+        let mut line = airway();
+        let trachea = line.points[14].position_mm;
+        let mut parent = 14;
+        for step in 1..=20 {
+            let position_mm = trachea + f64::from(step) * DVec3::new(-1.6, 0.3, 0.4);
+            line.points.push(CenterlinePoint {
+                position_mm,
+                radius_mm: 3.0,
+                branch: 9,
+                generation: 1,
+                parent: Some(parent),
+            });
+            parent = line.points.len() as u32 - 1;
+        }
+        let found = stem(&line).unwrap();
+        assert_eq!((found.trachea.len(), found.bronchi.len()), (21, 2));
+        check_stem(&line, PatientAxes::LPS, FrameSource::Options).unwrap();
+        let turned = mapped(&line, |p| DVec3::new(-p.x, -p.y, p.z));
+        let said = check_stem(&turned, PatientAxes::LPS, FrameSource::Options).unwrap_err().to_string();
+        assert!(said.contains("--axes ras,"), "{said}");
     }
 
     #[test]

@@ -7,8 +7,8 @@
 //!
 //! with h the HU within -1000 to 200, and m and s their mean and standard deviation under a Gaussian of 8 mm: the
 //! correlation of c over a region is close to the mean of local correlations (Cachier and Pennec, MMBIA 2000). Mean and
-//! deviation are those of the lung wherever there is lung nearby: the chest wall, along which it slides, has a
-//! thousandth of its weight.
+//! deviation are those of lungs and airways wherever there are any nearby: the chest wall, along which a lung slides, has
+//! a thousandth of their weight.
 
 use rayon::prelude::*;
 
@@ -19,9 +19,9 @@ use crate::base::Volume;
 const RANGE_HU: [i16; 2] = [-1000, 200];
 /// Standard deviation in mm of the surroundings: a few vessels wide, and small beside a lobe.
 const SURROUNDINGS_MM: f64 = 8.0;
-/// The lung's rim in mm that counts as lung, so that the pleura is seen as an edge.
+/// The rim in mm that counts as lung or airway, so that the pleura and the wall of the trachea are seen as edges.
 const RIM_MM: f64 = 3.0;
-/// Weight of what is no lung.
+/// Weight of what is neither.
 const OUTSIDE: f32 = 1e-3;
 /// Deviation in HU that is added: noise of an even place is not blown up.
 const FLOOR_HU: f32 = 30.0;
@@ -61,11 +61,11 @@ fn spread_out(mut values: Vec<f32>, size: [usize; 3], deviation_voxels: [f64; 3]
     values
 }
 
-/// The contrast of `scan` (HU), 300 a standard deviation, -900 to 1500. `lungs` has the scan's grid.
-pub fn local_contrast(scan: &Volume<i16>, lungs: &Volume<u8>) -> Volume<i16> {
+/// The contrast of `scan` (HU), 300 a standard deviation, -900 to 1500. `air`, lungs and airways, has the scan's grid.
+pub fn local_contrast(scan: &Volume<i16>, air: &Volume<u8>) -> Volume<i16> {
     let size = scan.grid.size;
     let deviation = (SURROUNDINGS_MM / scan.grid.spacing_mm()).to_array();
-    let weight: Vec<f32> = grown(lungs, RIM_MM).data.iter().map(|v| if *v > 0 { 1.0 } else { OUTSIDE }).collect();
+    let weight: Vec<f32> = grown(air, RIM_MM).data.iter().map(|v| if *v > 0 { 1.0 } else { OUTSIDE }).collect();
     let hu: Vec<f32> = scan.data.iter().map(|v| f32::from((*v).clamp(RANGE_HU[0], RANGE_HU[1]))).collect();
     let moment =
         |of: fn(f32) -> f32| spread_out(weight.iter().zip(&hu).map(|(w, h)| w * of(*h)).collect(), size, deviation);

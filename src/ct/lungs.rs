@@ -12,14 +12,46 @@ const LUNG_HU: i16 = -400;
 /// Least volume in ml of a lung, and its least share of the larger one.
 const LEAST_LUNG_ML: f64 = 150.0;
 const LEAST_SHARE: f64 = 0.05;
+/// Least volume in ml of air that may be an airway apart from the lungs: half a trachea, and more than most of the gas in
+/// the gullet.
+const LEAST_AIRWAY_ML: f64 = 10.0;
 /// The ball in mm that closes the lungs over their vessels, and the airway's wall in mm.
 const CLOSING_MM: f64 = 6.0;
 const WALL_MM: f64 = 2.0;
 
-/// Finds the lungs in `scan`; `airway`, on any grid, is no part of them.
+/// Finds the lungs in `scan`; `airway`, on any grid, is no part of them. Without it, they have what hangs together with
+/// them of the airways.
 ///
 /// Errors: no part that could be a lung.
 pub fn find_lungs(scan: &Volume<i16>, airway: Option<&Volume<u8>>) -> Result<Volume<u8>> {
+    let found = inner_air(scan, airway, LEAST_LUNG_ML);
+    let largest = found.first().map_or(0, Vec::len);
+    let is_lung = |part: &&Vec<usize>| part.len() as f64 >= LEAST_SHARE * largest as f64;
+    let kept: Vec<usize> = found.iter().filter(is_lung).flatten().copied().collect();
+    if kept.is_empty() {
+        return Err(Error::input(
+            "no lung was found: no connected air of 150 ml inside of the body; give masks of the lungs with --lung-masks",
+        ));
+    }
+    Ok(over_vessels(&mask_of(scan.grid, &kept)))
+}
+
+/// The air of a chest with these `lungs`: the lungs, and what is air inside of the body, as airways are, from the lungs'
+/// lower end upwards. One rule for both scans of a pair, and for each alone: it asks for no airway.
+pub fn chest_air(scan: &Volume<i16>, lungs: &Volume<u8>) -> Volume<u8> {
+    let grid = scan.grid;
+    let height = |at: usize| grid.centre(at).z;
+    let lowest = (0..grid.count()).filter(|&at| lungs.data[at] > 0).map(height).fold(f64::INFINITY, f64::min);
+    let found = inner_air(scan, None, LEAST_AIRWAY_ML);
+    let mut air = over_vessels(&mask_of(grid, &found.concat()));
+    for at in 0..air.data.len() {
+        air.data[at] = u8::from((air.data[at] > 0 && height(at) >= lowest) || lungs.data[at] > 0);
+    }
+    air
+}
+
+/// The connected parts of what is air inside of the body and at least so large, the largest first.
+fn inner_air(scan: &Volume<i16>, airway: Option<&Volume<u8>>, least_ml: f64) -> Vec<Vec<usize>> {
     let [nx, ny, _] = scan.grid.size;
     let sides: Vec<usize> = (0..scan.data.len())
         .filter(|&at| {
@@ -36,23 +68,19 @@ pub fn find_lungs(scan: &Volume<i16>, airway: Option<&Volume<u8>>) -> Result<Vol
         let tube = grown(&on_grid(airway, scan), WALL_MM);
         air.data.iter_mut().zip(&tube.data).filter(|(_, tube)| **tube > 0).for_each(|(value, _)| *value = 0);
     }
-    let found = parts(&air, VoxelContact::Faces);
     let to_ml = scan.grid.voxel_mm3() * 1e-3;
-    let large: Vec<&Vec<usize>> = found.iter().filter(|part| part.len() as f64 * to_ml >= LEAST_LUNG_ML).collect();
     let body = parts(&scan.map(|hu| u8::from(hu >= LUNG_HU)), VoxelContact::Faces).into_iter().next();
     let body = mask_of(scan.grid, &body.unwrap_or_default());
-    let inside: Vec<&Vec<usize>> = large.into_iter().filter(|part| is_inside(part, scan, &body)).collect();
-    let largest = inside.first().map_or(0, |part| part.len());
-    let is_lung = |part: &&&Vec<usize>| part.len() as f64 >= LEAST_SHARE * largest as f64;
-    let kept: Vec<usize> = inside.iter().filter(is_lung).copied().flatten().copied().collect();
-    if kept.is_empty() {
-        return Err(Error::input(
-            "no lung was found: no connected air of 150 ml inside of the body; give masks of the lungs with --lung-masks",
-        ));
-    }
-    let mut lungs = closed(&mask_of(scan.grid, &kept), CLOSING_MM);
-    fill_holes(&mut lungs);
-    Ok(lungs)
+    let mut found = parts(&air, VoxelContact::Faces);
+    found.retain(|part| part.len() as f64 * to_ml >= least_ml && is_inside(part, scan, &body));
+    found
+}
+
+/// Air with the vessels in it.
+fn over_vessels(air: &Volume<u8>) -> Volume<u8> {
+    let mut air = closed(air, CLOSING_MM);
+    fill_holes(&mut air);
+    air
 }
 
 /// Whether most of what is dense around a part of air is the body.

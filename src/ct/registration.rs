@@ -11,7 +11,7 @@ use std::process::{Command, Stdio};
 use glam::DVec3;
 
 use super::local_contrast::local_contrast;
-use super::lungs::on_grid;
+use super::lungs::{chest_air, on_grid};
 use super::parts::grown;
 use super::program::{REMEDY, run};
 use crate::base::{Error, ErrorKind, Progress, Result, Volume, files};
@@ -36,20 +36,24 @@ pub struct RegistrationInput {
     pub mask: Volume<u8>,
     /// The lungs alone.
     pub lungs: Volume<u8>,
+    /// Lungs and airways as a threshold finds them: what stands out of its surroundings is told by them, since in both
+    /// scans they are found by one rule, whether anybody knows the airway or not.
+    pub air: Volume<u8>,
 }
 
 impl RegistrationInput {
-    /// Crops a coarse scan with its lungs to where they are, and adds the surroundings of the airway to the mask.
+    /// Crops a coarse scan with its lungs to where there is air, and adds the surroundings of the airway to the mask.
     pub fn new(scan: &Volume<i16>, lungs: &Volume<u8>, airway: Option<&Volume<u8>>) -> RegistrationInput {
         let mut mask = lungs.clone();
         if let Some(airway) = airway {
             let near = grown(&on_grid(airway, scan), AROUND_AIRWAY_MM);
             mask.data.iter_mut().zip(&near.data).filter(|(_, near)| **near > 0).for_each(|(value, _)| *value = 1);
         }
+        let air = chest_air(scan, lungs);
         let spacing = scan.grid.spacing_mm();
         let margin = [0, 1, 2].map(|a| (MARGIN_MM / spacing[a]).ceil() as usize);
         let (mut low, mut high) = (scan.grid.size, [0usize; 3]);
-        for (at, _) in mask.data.iter().enumerate().filter(|(_, v)| **v > 0) {
+        for at in (0..mask.data.len()).filter(|&at| mask.data[at] > 0 || air.data[at] > 0) {
             let cell = mask.grid.cell(at);
             for a in 0..3 {
                 low[a] = low[a].min(cell[a].saturating_sub(margin[a]));
@@ -60,24 +64,37 @@ impl RegistrationInput {
             scan: scan.cropped(low, high),
             mask: mask.cropped(low, high),
             lungs: lungs.cropped(low, high),
+            air: air.cropped(low, high),
         }
     }
 }
 
-/// The version of elastix, such as `5.0.1`; `None` where it is not installed.
+/// The version of elastix, such as `5.0.1`; `None` where it is not installed or does not start.
 pub fn elastix_version() -> Option<String> {
-    let output = Command::new("elastix").arg("--version").stdin(Stdio::null()).output().ok()?;
-    let text = String::from_utf8_lossy(&output.stdout).to_string();
-    let word = text.split_whitespace().find(|w| w.starts_with(|c: char| c.is_ascii_digit()))?;
-    Some(word.to_owned())
+    started_version().ok()
 }
 
-/// Refuses work that needs elastix where it is not installed, with the command that installs it.
+/// The version, or why there is none.
+fn started_version() -> std::result::Result<String, String> {
+    let output =
+        Command::new("elastix").arg("--version").stdin(Stdio::null()).output().map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound => "which is not installed".to_owned(),
+            _ => format!("which cannot be started ({e})"),
+        })?;
+    let text = String::from_utf8_lossy(&output.stdout).to_string();
+    let word = text.split_whitespace().find(|w| w.starts_with(|c: char| c.is_ascii_digit()));
+    word.map(str::to_owned).ok_or_else(|| {
+        let said = String::from_utf8_lossy(&output.stderr).to_string();
+        let said = said.lines().map(str::trim).rfind(|line| !line.is_empty()).unwrap_or("it said nothing").to_owned();
+        format!("which is installed and does not work ({said})")
+    })
+}
+
+/// Refuses work that needs elastix where it is not installed or does not work, with the command that installs it.
 pub fn demand_elastix() -> Result<String> {
-    elastix_version().ok_or_else(|| {
-        let sentence = format!(
-            "registering two scans needs elastix, which is not installed: run {REMEDY}, or give a field with --field"
-        );
+    started_version().map_err(|what| {
+        let sentence =
+            format!("registering two scans needs elastix, {what}: run {REMEDY}, or give a field with --field");
         Error::new(ErrorKind::Environment, sentence)
     })
 }
@@ -94,8 +111,8 @@ pub fn register(
 ) -> Result<Volume<[f32; 3]>> {
     let place = |name: &str| folder.join(name);
     std::fs::create_dir_all(folder).map_err(|e| Error::io("writing", folder, e))?;
-    nifti::write(&place("fixed.nii"), &local_contrast(&fixed.scan, &fixed.lungs))?;
-    nifti::write(&place("moving.nii"), &local_contrast(&moving.scan, &moving.lungs))?;
+    nifti::write(&place("fixed.nii"), &local_contrast(&fixed.scan, &fixed.air))?;
+    nifti::write(&place("moving.nii"), &local_contrast(&moving.scan, &moving.air))?;
     nifti::write(&place("mask.nii"), &fixed.mask)?;
     let threads = rayon::current_num_threads().to_string();
     let mut command = Command::new("elastix");
@@ -133,6 +150,8 @@ mod tests {
     use super::*;
     use crate::base::random::{CounterRng, Stage};
     use crate::base::{NoProgress, VoxelGrid};
+    use crate::ct::lungs::find_lungs;
+    use crate::ct::motion_field::carried;
     use crate::skip::skip;
 
     /// Texture of smooth bumps, moved by a known motion: registered, it gives the motion back.
@@ -162,8 +181,12 @@ mod tests {
         let back = |p: DVec3| (0..20).fold(p, |x, _| p - motion(x));
         let moving = Volume { grid, data: (0..grid.count()).map(|at| texture(back(grid.centre(at)))).collect() };
         let whole = Volume::filled(grid, 1u8);
-        let input =
-            |scan: &Volume<i16>| RegistrationInput { scan: scan.clone(), mask: whole.clone(), lungs: whole.clone() };
+        let input = |scan: &Volume<i16>| RegistrationInput {
+            scan: scan.clone(),
+            mask: whole.clone(),
+            lungs: whole.clone(),
+            air: whole.clone(),
+        };
         let folder = tempfile::tempdir().unwrap();
         let field = register(&input(&fixed), &input(&moving), folder.path(), &NoProgress).unwrap();
         let inner: Vec<f64> = (0..grid.count())
@@ -175,6 +198,71 @@ mod tests {
             .collect();
         let mean = inner.iter().sum::<f64>() / inner.len() as f64;
         assert!(mean < 0.5, "{mean}");
+    }
+
+    /// A chest: two lungs with bumps in them, and a trachea that runs from 90 mm above their middle down between them and
+    /// divides into both. HU, and which voxels are airway.
+    fn chest() -> (Volume<i16>, Volume<u8>) {
+        let grid = VoxelGrid::upright([110, 80, 84], DVec3::new(-165.0, -120.0, -150.0), DVec3::splat(3.0));
+        let mut rng = CounterRng::new(11, Stage::Test, &[]);
+        let bumps: Vec<DVec3> = (0..400)
+            .map(|_| DVec3::new(rng.range(-120.0, 120.0), rng.range(-70.0, 70.0), rng.range(-130.0, 30.0)))
+            .collect();
+        let tube = |p: DVec3, a: DVec3, b: DVec3| {
+            let along = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+            p.distance(a.lerp(b, along))
+        };
+        let carina = DVec3::new(0.0, 5.0, -30.0);
+        let lumen = |p: DVec3| {
+            let bronchi = [-50.0, 50.0].map(|x| tube(p, carina, DVec3::new(x, 10.0, -60.0)) - 7.0);
+            (tube(p, DVec3::new(0.0, -15.0, 120.0), carina) - 9.0).min(bronchi[0]).min(bronchi[1])
+        };
+        let value = |p: DVec3| {
+            let lung =
+                ((p - DVec3::new(p.x.signum() * 70.0, 5.0, -50.0)) / DVec3::new(48.0, 70.0, 80.0)).length() < 1.0;
+            match lumen(p) {
+                _ if (p.truncate() / glam::DVec2::new(150.0, 105.0)).length() > 1.0 => -1000,
+                d if d < 0.0 => -980,
+                d if d < 3.0 => 20,
+                _ if lung && bumps.iter().any(|b| p.distance(*b) < 5.0) => 30,
+                _ if lung => -850,
+                _ => 40,
+            }
+        };
+        let places: Vec<DVec3> = (0..grid.count()).map(|at| grid.centre(at)).collect();
+        let airway = places.iter().map(|p| u8::from(lumen(*p) < 0.0)).collect();
+        (Volume { grid, data: places.iter().map(|p| value(*p)).collect() }, Volume { grid, data: airway })
+    }
+
+    /// One scan on both sides, with its airway known on one and unknown on the other as in every import: it looks the same
+    /// from both, above the lungs, too, so that nothing moves.
+    #[test]
+    fn a_scan_is_its_own_match() {
+        let (scan, airway) = chest();
+        let apart = find_lungs(&scan, Some(&airway)).unwrap();
+        let whole = find_lungs(&scan, None).unwrap();
+        let fixed = RegistrationInput::new(&scan, &apart, Some(&airway));
+        let moving = RegistrationInput::new(&scan, &whole, None);
+        let seen = [&fixed, &moving].map(|input| local_contrast(&input.scan, &input.air));
+        let to_index = seen[1].grid.index_from_place();
+        let asked: Vec<usize> = (0..fixed.mask.data.len()).filter(|&at| fixed.mask.data[at] > 0).collect();
+        let differ = asked.iter().filter(|&&at| {
+            let other = seen[1].nearest(to_index(seen[0].grid.centre(at)));
+            other.is_none_or(|other| (seen[0].data[at] - other).abs() > 10)
+        });
+        let differ = differ.count() as f64 / asked.len() as f64;
+        assert!(differ < 0.005, "{:.1} % of what is registered looks another", 100.0 * differ);
+
+        let Some(_) = elastix_version() else {
+            return skip("elastix", &format!("elastix is not installed ({REMEDY})"));
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let field = register(&fixed, &moving, folder.path(), &NoProgress).unwrap();
+        let places = (0..scan.data.len()).filter(|&at| airway.data[at] > 0).map(|at| scan.grid.centre(at));
+        let places: Vec<DVec3> = places.collect();
+        let moved = carried(&field, &places);
+        let most = places.iter().zip(&moved).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        assert!(most < 1.0, "{most}");
     }
 
     #[test]

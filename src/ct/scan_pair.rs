@@ -162,7 +162,8 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
         }
         (None, Some(empty)) => {
             let program = version.as_deref().unwrap_or_default();
-            let field = registered(request, [&full, empty], program, workshop, &mut facts, progress)?;
+            let airway = &surface.mesh.vertices;
+            let field = registered(request, [&full, empty], airway, program, workshop, &mut facts, progress)?;
             (field, full.lungs.clone())
         }
         (None, None) => return Err(Error::usage("without a second scan a field is wanted")),
@@ -276,10 +277,12 @@ fn expiration_of(
     Ok(empty)
 }
 
-/// The motion from the full lungs to the empty ones by elastix of `version`; on request how far the way back misses.
+/// The motion from the full lungs to the empty ones by elastix of `version`; on request how far the way back misses, in
+/// the lungs and at the vertices of the `airway`.
 fn registered(
     request: &ScanRequest<'_>,
     [full, empty]: [&RegistrationInput; 2],
+    airway: &[DVec3],
     version: &str,
     workshop: &Path,
     facts: &mut Facts,
@@ -289,8 +292,12 @@ fn registered(
     facts.push(("registration", format!("elastix {version}, affine and B-spline")));
     if request.way_back {
         let back = register(empty, full, &workshop.join("back"), progress)?;
-        let miss = inverse_consistency(&field, &back, &full.lungs);
+        let lungs = &full.lungs;
+        let voxels = (0..lungs.data.len()).filter(|&at| lungs.data[at] > 0).map(|at| lungs.grid.centre(at));
+        let miss = inverse_consistency(&field, &back, &voxels.collect::<Vec<_>>());
         facts.push(("there and back", format!("{miss} (median / 95 % / most, in the lungs)")));
+        let miss = inverse_consistency(&field, &back, airway);
+        facts.push(("there and back, airway", format!("{miss} (median / 95 % / most)")));
     }
     Ok(field)
 }
