@@ -264,8 +264,14 @@ fn check_faces(rest: &TriangleMesh, expiration: &[DVec3]) -> Result<()> {
     }
     match field_check::flipped_faces(rest, expiration).as_slice() {
         [] => Ok(()),
-        flipped => Err(Error::input(format!("and {} others turn over between the breath holds", flipped.len() - 1))
-            .element(format!("face {}", flipped[0]))),
+        flipped => {
+            let others = flipped.len() - 1;
+            let sentence = format!(
+                "and {others} others turn over between the breath holds: the motion folds the airway there, so it does not \
+                 carry one surface onto the other"
+            );
+            Err(Error::input(sentence).element(format!("face {}", flipped[0])))
+        }
     }
 }
 

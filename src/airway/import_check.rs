@@ -170,8 +170,7 @@ pub fn trachea_note(centerline: &Centerline, expiration: &[DVec3]) -> Option<Str
     (mean > carina + TRACHEA_BEYOND_MM).then(|| {
         format!(
             "the trachea's upper end moves by {mean:.0} mm, and its division by {carina:.0}: above the lungs there is little \
-             that a registration can hold on to, so look at the page before you use that part; --lung-masks that leave the \
-             airway out of both scans may help"
+             that a registration can hold on to, so look at the page before you use that part"
         )
     })
 }

@@ -4,6 +4,7 @@ pub mod base64;
 pub mod camera;
 pub mod case_id;
 pub mod color;
+pub mod depth;
 pub mod error;
 pub mod estimate;
 pub mod files;

@@ -93,10 +93,10 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     failed
 }
 
-/// Names every film that failed; the error says how many.
+/// Names the films that failed; the error says how many, and names the first.
 fn failures(evaluated: &[Evaluated], terminal: &Terminal) -> Result<()> {
     let failed = || evaluated.iter().filter_map(|e| Some((e, e.scored.as_ref().err()?)));
-    for (Evaluated { film, .. }, error) in failed() {
+    for (Evaluated { film, .. }, error) in failed().skip(1) {
         terminal.note(&format!("{}: failed: {error}", film.display()));
     }
     let Some((first, error)) = failed().next() else { return Ok(()) };

@@ -130,6 +130,7 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
         expiration: arguments.expiration.as_deref(),
         airway: arguments.airway_mask.first().map(PathBuf::as_path),
         airway_expiration: arguments.airway_mask.get(1).map(PathBuf::as_path),
+        anatomy: meaning.anatomy,
         label: arguments.label.map(|label| label as u16),
         lungs: [0, 1].map(|scan| arguments.lung_masks.get(scan).map(PathBuf::as_path)),
         field: arguments.field.as_deref(),
@@ -264,7 +265,7 @@ fn of_motion(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
     let scan = arguments.inspiration.as_deref().map(|path| read_checked(path, terminal)).transpose()?;
     terminal.stage("the airway");
     let label = arguments.label.map(|label| label as u16);
-    let airway = airway_of(mask, label, scan.as_ref(), &mut facts, terminal)?;
+    let airway = airway_of(mask, label, scan.as_ref(), meaning.anatomy, &mut facts, terminal)?;
     if let (Some(mask), Some(scan)) = (mask, &scan) {
         check_mask(&airway.mask, scan).map_err(|e| e.at(mask))?;
     }

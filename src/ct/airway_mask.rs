@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::parts::{VoxelContact, fill_holes, mask_of, parts};
 use super::scan::turned;
+use crate::airway::import_check::ExpectedAnatomy;
 use crate::base::{Error, Result, Volume};
 use crate::formats::volume::read_labels;
 
@@ -27,9 +28,9 @@ pub struct AirwayMask {
 ///
 /// Errors name the file: several labels and none wanted, a label that is not there, a part that is no airway by its
 /// size.
-pub fn read_mask(path: &Path, wanted: Option<u16>) -> Result<AirwayMask> {
+pub fn read_mask(path: &Path, wanted: Option<u16>, anatomy: ExpectedAnatomy) -> Result<AirwayMask> {
     let labels = read_labels(path)?;
-    chosen(&labels, wanted).and_then(cleaned).map_err(|e| e.at(path))
+    chosen(&labels, wanted).and_then(|mask| cleaned(mask, anatomy)).map_err(|e| e.at(path))
 }
 
 /// Voxels of label `wanted`, or of the only one there is.
@@ -54,17 +55,17 @@ pub fn chosen(labels: &Volume<u16>, wanted: Option<u16>) -> Result<Volume<u8>> {
     Ok(labels.map(|v| u8::from(v == label)))
 }
 
-/// The largest part, without holes.
-pub fn cleaned(mask: Volume<u8>) -> Result<AirwayMask> {
+/// The largest part, without holes. A human one has the size of an airway.
+pub fn cleaned(mask: Volume<u8>, anatomy: ExpectedAnatomy) -> Result<AirwayMask> {
     let mask = turned(mask);
     let all = mask.data.iter().filter(|v| **v > 0).count();
     let found = parts(&mask, VoxelContact::Corners);
     let largest = found.first().ok_or_else(|| Error::input("the airway mask is empty"))?;
     let volume_ml = largest.len() as f64 * mask.grid.voxel_mm3() * 1e-3;
-    if !(AIRWAY_ML[0]..=AIRWAY_ML[1]).contains(&volume_ml) {
+    if anatomy == ExpectedAnatomy::Human && !(AIRWAY_ML[0]..=AIRWAY_ML[1]).contains(&volume_ml) {
         return Err(Error::input(format!(
             "its largest part has {volume_ml:.1} ml, and an airway has {} to {} ml: it is another organ, or the airway \
-             with lung in it",
+             with lung in it; --unusual takes it",
             AIRWAY_ML[0], AIRWAY_ML[1]
         )));
     }
@@ -93,11 +94,14 @@ mod tests {
             }
         };
         let labels = Volume { grid, data: (0..grid.count()).map(label).collect() };
-        let said = |wanted| chosen(&labels, wanted).and_then(cleaned).err().unwrap().to_string();
+        let human = |mask| cleaned(mask, ExpectedAnatomy::Human);
+        let said = |wanted| chosen(&labels, wanted).and_then(human).err().unwrap().to_string();
         assert!(said(None).contains("2 labels (3, 7): --label"));
         assert!(said(Some(4)).contains("no label 4; it holds 3, 7"));
         assert!(said(Some(7)).contains("0.0 ml"));
-        let airway = chosen(&labels, Some(3)).and_then(cleaned).unwrap();
+        let small = chosen(&labels, Some(7)).and_then(|mask| cleaned(mask, ExpectedAnatomy::Any)).unwrap();
+        assert!(small.volume_ml < 0.1);
+        let airway = chosen(&labels, Some(3)).and_then(human).unwrap();
         assert_eq!(airway.loose_parts, 0);
         assert!((airway.volume_ml - 9.8).abs() < 0.5, "{}", airway.volume_ml);
     }

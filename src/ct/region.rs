@@ -7,6 +7,7 @@
 
 use super::airway_mask::{AirwayMask, cleaned};
 use super::parts::{VoxelContact, bounding_box, closed, spread};
+use crate::airway::import_check::ExpectedAnatomy;
 use crate::base::{Error, Progress, Result, Volume};
 
 /// HU below which air in the trachea lies for sure.
@@ -51,7 +52,7 @@ struct RoundPiece {
 /// Grows the airway of `scan`, whose k axis runs to the head.
 ///
 /// Errors: no trachea; a region that leaks at once.
-pub fn grow_airway(scan: &Volume<i16>, progress: &dyn Progress) -> Result<GrownAirway> {
+pub fn grow_airway(scan: &Volume<i16>, anatomy: ExpectedAnatomy, progress: &dyn Progress) -> Result<GrownAirway> {
     let (seed, top) = trachea_seed(scan)?;
     let to_ml = scan.grid.voxel_mm3() * 1e-3;
     let mut region = Volume::filled(scan.grid, 0u8);
@@ -87,7 +88,7 @@ pub fn grow_airway(scan: &Volume<i16>, progress: &dyn Progress) -> Result<GrownA
     })?;
     region.data[throat..].fill(0);
     let radius_mm = CLOSING_VOXELS * scan.grid.spacing_mm().max_element();
-    let airway = cleaned(closed_near(&region, radius_mm))?;
+    let airway = cleaned(closed_near(&region, radius_mm), anatomy)?;
     Ok(GrownAirway { airway, threshold_hu, leaked_at_hu })
 }
 
@@ -236,7 +237,7 @@ mod tests {
                 scan.data[at] = if p.truncate().length() < radius { -990 } else { 40 };
             }
         }
-        let found = grow_airway(&scan, &NoProgress).unwrap().airway.mask;
+        let found = grow_airway(&scan, ExpectedAnatomy::Human, &NoProgress).unwrap().airway.mask;
         let highest = (0..found.grid.count()).filter(|&at| found.data[at] > 0).map(|at| found.grid.centre(at).z);
         let highest = highest.fold(f64::NEG_INFINITY, f64::max);
         assert!((2.0..=10.0).contains(&highest), "{highest}");
@@ -245,7 +246,7 @@ mod tests {
     #[test]
     fn the_fork_is_found_and_the_lung_is_not() {
         let mut scan = chest();
-        let found = grow_airway(&scan, &NoProgress).unwrap();
+        let found = grow_airway(&scan, ExpectedAnatomy::Human, &NoProgress).unwrap();
         assert!(
             found.leaked_at_hu.is_some() && (-900..=-830).contains(&found.threshold_hu),
             "{:?}",
@@ -254,6 +255,8 @@ mod tests {
         let truth = (58.0 * 201.0 + 2.0 * 49.5 * 113.0) * 1e-3;
         assert!((found.airway.volume_ml - truth).abs() < 0.3 * truth, "{} {truth}", found.airway.volume_ml);
         scan.data.iter_mut().for_each(|v| *v = (*v).max(-700));
-        assert!(grow_airway(&scan, &NoProgress).err().unwrap().to_string().contains("no trachea"));
+        assert!(
+            grow_airway(&scan, ExpectedAnatomy::Human, &NoProgress).err().unwrap().to_string().contains("no trachea")
+        );
     }
 }

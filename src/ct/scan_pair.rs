@@ -13,6 +13,7 @@ use super::registration::{
     PARAMETERS, REGISTRATION_MM, RegistrationInput, demand_elastix, mean_displacement, register,
 };
 use super::scan::{coarser, read_checked};
+use crate::airway::import_check::ExpectedAnatomy;
 use crate::base::{Error, Progress, Result, Volume, hash};
 use crate::formats::volume::{frame_note, read_field};
 
@@ -39,6 +40,8 @@ pub struct ScanRequest<'a> {
     pub airway: Option<&'a Path>,
     /// Mask of the airway at expiration: only compared with.
     pub airway_expiration: Option<&'a Path>,
+    /// What is expected of the airway.
+    pub anatomy: ExpectedAnatomy,
     /// Label of the airway in its masks.
     pub label: Option<u16>,
     /// Masks of the lungs at both; found in the scans without them.
@@ -72,18 +75,19 @@ pub fn airway_of(
     mask: Option<&Path>,
     label: Option<u16>,
     scan: Option<&Volume<i16>>,
+    anatomy: ExpectedAnatomy,
     facts: &mut Facts,
     progress: &dyn Progress,
 ) -> Result<AirwayMask> {
     let airway = match (mask, scan) {
         (Some(path), _) => {
-            let airway = read_mask(path, label)?;
+            let airway = read_mask(path, label, anatomy)?;
             frame_note(path).iter().for_each(|note| progress.note(note));
             facts.push(("airway mask", format!("{}, {:.1} ml", path.display(), airway.volume_ml)));
             airway
         }
         (None, Some(scan)) => {
-            let grown = grow_airway(scan, progress)?;
+            let grown = grow_airway(scan, anatomy, progress)?;
             let leak = match grown.leaked_at_hu {
                 Some(leak) => format!("it leaks into the lung below {leak} HU"),
                 None => "it never leaked".to_owned(),
@@ -180,7 +184,7 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     }
     let expiration = carried(&field, &surface.mesh.vertices);
     if let Some(path) = request.airway_expiration {
-        let other = read_mask(path, request.label)?;
+        let other = read_mask(path, request.label, request.anatomy)?;
         let off = DistanceSpread::of(distances_from_mask(&other.mask, &expiration)?);
         facts.push(("carried from other mask", format!("{off} (median / 95 % / most; {})", path.display())));
     }
@@ -204,7 +208,8 @@ fn inspiration_of(
     let scan = read_checked(request.inspiration, progress)?;
     let coarse = coarser(&scan, REGISTRATION_MM);
     let named = |e: Error| e.at(request.inspiration);
-    let airway = airway_of(request.airway, request.label, Some(&scan), facts, progress).map_err(named)?;
+    let airway =
+        airway_of(request.airway, request.label, Some(&scan), request.anatomy, facts, progress).map_err(named)?;
     // What is wrong with a mask is not the scan's fault.
     let of_airway = |e: Error| e.at(request.airway.unwrap_or(request.inspiration));
     if request.airway.is_some() {

@@ -1,6 +1,7 @@
 //! Depth errors of one frame, in mm, without any alignment: the methods know the metric CT and the pose.
 
 use crate::base::Image;
+use crate::base::depth::present;
 
 /// Ratio below which a depth counts as right (Eigen et al. 2014).
 const RATIO: f64 = 1.25;
@@ -14,11 +15,6 @@ pub struct DepthErrors {
     pub delta_1_25: f64,
     /// Share with a prediction.
     pub coverage: f64,
-}
-
-/// A depth that is there: finite and above 0.
-pub fn present(depth_mm: f32) -> Option<f64> {
-    (depth_mm.is_finite() && depth_mm > 0.0).then_some(f64::from(depth_mm))
 }
 
 /// Errors of `predicted` against `truth` (z-depth in mm, one channel, one shape); `None` when truth is nowhere above 0.

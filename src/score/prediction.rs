@@ -27,10 +27,10 @@ use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 
 use super::correspondence;
-use super::depth::present;
 use super::truth::Truth;
+use crate::base::depth::check_predicted_depth;
 use crate::base::range::{
-    COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_DEPTH_MM, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
+    COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
 };
 use crate::base::{Camera, Error, Image, Result, TriangleMesh, files, pose};
 use crate::formats::number_table::{self, COUNT, Column, NumberRow};
@@ -317,12 +317,7 @@ impl Prediction {
         if image.channels != 1 {
             return Err(Error::input(format!("has {} channels; depth has one", image.channels)).at(path));
         }
-        let is_beyond = |depth: &f32| present(*depth).is_some_and(|depth| !PREDICTED_DEPTH_MM.contains(depth));
-        if let Some(place) = image.data.iter().position(is_beyond) {
-            let (x, y, range) = (place % image.width, place / image.width, PREDICTED_DEPTH_MM);
-            let sentence = format!("{:e} must lie in {range}; 0 where there is no depth", image.data[place]);
-            return Err(Error::input(sentence).element(format!("pixel ({x}, {y})")).at(path));
-        }
+        check_predicted_depth(&image).map_err(|e| e.at(path))?;
         Ok(Some(image))
     }
 

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use glam::{DAffine3, DMat3, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use respire_bench::base::depth::check_predicted_depth;
 use respire_bench::base::range::{
-    COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_DEPTH_MM, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
+    COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
 };
 use respire_bench::base::{Error as LibraryError, Image, Result, Staging, TriangleMesh, method_name, pose};
 use respire_bench::reconstruct::{PredictionFolder as Folder, PredictionTiming};
@@ -87,13 +88,7 @@ impl PredictionFolder {
     /// Writes a depth of `kind` `depth` or `novel_depth`.
     fn depth(&self, py: Python<'_>, kind: &str, frame: usize, depth: PyReadonlyArray2<'_, f32>) -> PyResult<()> {
         let (folder, depth) = (self.folder()?, plane(&depth)?);
-        // Infinity, NaN and what is below 0 are no depth, as where the folder is read.
-        let present = depth.data.iter().enumerate().filter(|(_, mm)| mm.is_finite() && **mm > 0.0);
-        for (at, mm) in present {
-            let (x, y) = (at % depth.width, at / depth.width);
-            let named = |e| refused(format!("{kind}_mm, frame {frame}: pixel ({x}, {y}): {e}"));
-            PREDICTED_DEPTH_MM.check(f64::from(*mm)).map_err(named)?;
-        }
+        check_predicted_depth(&depth).map_err(|e| refused(format!("{kind}_mm, frame {frame}: {e}")))?;
         let write = || match kind {
             "depth" => folder.depth_mm(frame, &depth),
             _ => folder.novel_depth_mm(frame, &depth),

@@ -9,6 +9,7 @@ use super::compare::{ReferenceAirway, distances};
 use super::result::{GENERATIONS, GenerationLoss};
 use crate::airway::centerline::{Centerline, CenterlineSettings};
 use crate::airway::centerline_extract::extract;
+use crate::airway::import_check::ExpectedAnatomy;
 use crate::base::{Error, Progress, Result, TriangleMesh};
 use crate::ct::airway_mask::read_mask;
 use crate::ct::lumen::{DistanceSpread, surface_of_mask};
@@ -26,7 +27,7 @@ pub fn differences(masks: &[PathBuf], progress: &dyn Progress) -> Result<Vec<Gen
     for (done, path) in masks.iter().enumerate() {
         progress.proceed()?;
         progress.advance(done, masks.len());
-        let surface = surface_of_mask(&read_mask(path, None)?.mask).map_err(|e| e.at(path))?;
+        let surface = surface_of_mask(&read_mask(path, None, ExpectedAnatomy::Human)?.mask).map_err(|e| e.at(path))?;
         let line = extract(&surface.mesh, &CenterlineSettings::default()).map_err(|e| e.at(path))?;
         airways.push((surface.mesh, line));
     }

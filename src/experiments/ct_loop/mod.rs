@@ -26,6 +26,7 @@ use crate::airway::case::Case;
 use crate::airway::case_build::mended_pair;
 use crate::airway::centerline::CenterlineSettings;
 use crate::airway::centerline_extract::extract;
+use crate::airway::import_check::ExpectedAnatomy;
 use crate::airway::nearest_points::NearestPoints;
 use crate::airway::remesh::remesh;
 use crate::base::{Error, ErrorKind, Progress, Result, TriangleMesh, Volume, files, hash, revision};
@@ -145,6 +146,7 @@ fn imported(
         lungs: [None; 2],
         field: None,
         way_back: false,
+        anatomy: ExpectedAnatomy::Human,
     };
     let pair = import_pair(&request, work, progress)?;
     let scan = read_checked(&inspiration, progress)?;
@@ -153,7 +155,7 @@ fn imported(
     let given = compared(AirwayWay::Mask, &truth, &pair.surface.mesh, moved(&pair.surface.mesh)?)?;
     let mut facts = Facts::new();
     let mut grow = || -> Result<_> {
-        let airway = airway_of(None, None, Some(&scan), &mut facts, progress)?;
+        let airway = airway_of(None, None, Some(&scan), ExpectedAnatomy::Human, &mut facts, progress)?;
         let surface = surface_of(&airway, &mut facts)?;
         let result = compared(AirwayWay::Grown, &truth, &surface.mesh, moved(&surface.mesh)?)?;
         Ok((result, surface))

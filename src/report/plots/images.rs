@@ -4,9 +4,9 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::canvas::{INK, Pen, on_bitmap};
+use crate::base::depth::present;
 use crate::base::{Image, Result};
 use crate::report::run::Run;
-use crate::score::depth::present;
 use crate::score::{Prediction, Question, Truth};
 
 /// Frames shown of a case.
