@@ -179,10 +179,14 @@ pub fn trachea_note(centerline: &Centerline, expiration: &[DVec3]) -> Option<Str
 /// was read, say.
 pub fn check_stem(centerline: &Centerline, axes: PatientAxes, source: FrameSource) -> Result<()> {
     let position = |p: usize| centerline.points[p].position_mm;
-    let Some(stem) = stem(centerline) else {
-        return Err(Error::input(
-            "the airway has no bifurcation: a trachea with its bronchi is wanted; --unusual takes it",
-        ));
+    let Some(stem) = stem(centerline, LEAST_TRACHEA_MM) else {
+        let what = match stem(centerline, 0.0) {
+            Some(_) => format!("no trachea of {LEAST_TRACHEA_MM} mm or more above its division"),
+            None => "no bifurcation".to_owned(),
+        };
+        return Err(Error::input(format!(
+            "the airway has {what}: a trachea with its bronchi is wanted; --unusual takes it"
+        )));
     };
     let radii = stem.trachea.iter().map(|&p| centerline.points[p].radius_mm);
     let diameter = 2.0 * upper_median(radii).expect("a trachea has points");
@@ -244,8 +248,9 @@ fn longest_side(points: impl Iterator<Item = DVec3>) -> f64 {
 }
 
 /// The widest branch that ends, as the trachea, with the bronchi where it divides; `None` without a bifurcation. A thin
-/// branch of its side is none of them: one person in a hundred has a bronchus of the right upper lobe there.
-fn stem(centerline: &Centerline) -> Option<Stem> {
+/// branch of its side is none of them: one person in a hundred has a bronchus of the right upper lobe there. What is
+/// shorter than `least_mm` is no trachea.
+fn stem(centerline: &Centerline, least_mm: f64) -> Option<Stem> {
     let points = &centerline.points;
     let mut neighbours: Vec<Vec<usize>> = vec![Vec::new(); points.len()];
     for (p, point) in points.iter().enumerate() {
@@ -272,7 +277,7 @@ fn stem(centerline: &Centerline) -> Option<Stem> {
     let ends = (0..points.len()).filter(|&p| neighbours[p].len() == 1);
     let mut trachea = ends
         .map(|end| branch(end, neighbours[end][0]))
-        .filter(|way| neighbours[way[way.len() - 1]].len() > 2 && length(way) >= LEAST_TRACHEA_MM)
+        .filter(|way| neighbours[way[way.len() - 1]].len() > 2 && length(way) >= least_mm)
         .max_by(|a, b| width(a).total_cmp(&width(b)))?;
     let daughters = |way: &[usize]| -> Vec<Vec<usize>> {
         let (end, before) = (way[way.len() - 1], way[way.len() - 2]);
@@ -452,7 +457,7 @@ mod tests {
             });
             parent = line.points.len() as u32 - 1;
         }
-        let found = stem(&line).unwrap();
+        let found = stem(&line, LEAST_TRACHEA_MM).unwrap();
         assert_eq!((found.trachea.len(), found.bronchi.len()), (21, 2));
         check_stem(&line, PatientAxes::LPS, FrameSource::Options).unwrap();
         let turned = mapped(&line, |p| DVec3::new(-p.x, -p.y, p.z));
@@ -477,6 +482,9 @@ mod tests {
         );
         let mut narrow = airway();
         narrow.points.iter_mut().for_each(|p| p.radius_mm *= 0.4);
+        let short = mapped(&airway(), |p| p * 0.1);
+        let said = check_stem(&short, PatientAxes::LPS, FrameSource::Options).unwrap_err().to_string();
+        assert!(said.contains("no trachea of 15 mm or more above its division"), "{said}");
         assert!(
             check_stem(&narrow, PatientAxes::LPS, FrameSource::Options)
                 .unwrap_err()
