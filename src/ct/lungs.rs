@@ -3,6 +3,8 @@
 //! A threshold, the air that reaches the sides of the picture taken away, the large parts inside of the body kept (the
 //! foam of a table may be closed, too), closed by a ball. What is dense (a tumour, water, a lung without air) is not
 //! found; the registration does without it.
+//!
+//! [`chest_air`] has the airways, too, which a registration needs in both scans of a pair.
 
 use super::parts::{VoxelContact, closed, fill_holes, grown, mask_of, parts, reached};
 use crate::base::{Error, Result, Volume};
