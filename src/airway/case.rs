@@ -18,7 +18,7 @@ use crate::base::camera::fisheye_rises_to;
 use crate::base::range::{
     FIELD_OF_VIEW_DEG, GENERATION, KeyRanges, LEAST_RADIUS_MM, NumberRange, SCOPE_RADIUS_MM, SEED,
 };
-use crate::base::{Camera, Error, Result, case_id, files, hash};
+use crate::base::{Camera, Error, ErrorKind, Result, case_id, files, hash};
 
 /// Ranges of `[camera]`.
 const CAMERA_RANGES: KeyRanges =
@@ -316,9 +316,9 @@ pub struct Case {
     /// `[clinical]` of the case file, for [`Case::on_clinical_track`].
     #[serde(skip)]
     pub clinical_table: ClinicalSettings,
-    /// Folder of the case file, for its relative paths.
+    /// The case file: its relative paths begin beside it, and it is named where the case is wrong.
     #[serde(skip)]
-    pub folder: PathBuf,
+    pub file: PathBuf,
 }
 
 fn default_light() -> [f64; 3] {
@@ -355,7 +355,7 @@ impl Case {
     }
 
     fn checked(mut case: Case, path: &Path) -> Result<Case> {
-        case.folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
+        case.file = path.to_path_buf();
         case.clinical_table = case.clinical.take().unwrap_or_default();
         case.clinical_table.validate().map_err(|e| e.at(path))?;
         case.validate().map_err(|e| e.at(path))?;
@@ -377,7 +377,13 @@ impl Case {
 
     /// A path of the case file, from the working folder.
     pub fn resolve(&self, path: &Path) -> PathBuf {
-        self.folder.join(path)
+        self.file.with_file_name("").join(path)
+    }
+
+    /// What is wrong with the case, and with no file that it names, said of its own file.
+    pub fn blamed(&self, error: Error) -> Error {
+        let is_its_own = error.path().is_none() && error.kind() == ErrorKind::InputOutput && self.file.is_file();
+        if is_its_own { error.at(&self.file) } else { error }
     }
 
     /// Content hash of the case and of every file it names, 64 hex digits.
@@ -509,7 +515,7 @@ centers = []
         let case = load(TREE).unwrap();
         assert_eq!(case.waveform.period_s(), 4.0);
         let again: Case = toml::from_str(&toml::to_string(&case).unwrap()).unwrap();
-        assert_eq!(Case { folder: case.folder.clone(), ..again }, case);
+        assert_eq!(Case { file: case.file.clone(), ..again }, case);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! `respire-bench import`: a user's anatomy or a measured motion becomes a case.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
@@ -68,9 +68,9 @@ fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Resu
     let text = files::read_text(&arguments.case)?;
     let still = with_breathing(&text, &arguments.case, &still_breathing())?;
     let mut case: Case = files::parse_toml(&still, &arguments.case)?;
-    case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
+    case.file = arguments.case.clone();
     case.validate().map_err(|e| e.at(&arguments.case))?;
-    let rest = airway::build(&case)?;
+    let rest = airway::build(&case).map_err(|e| case.blamed(e))?;
     terminal.proceed()?;
     let breathing = arguments.motion.fit(&rest, &case, &motion, terminal)?;
     terminal.proceed()?;

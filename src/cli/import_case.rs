@@ -98,7 +98,7 @@ impl CaseArguments {
             registration_error_mm: 0.0,
             clinical: None,
             clinical_table: Default::default(),
-            folder: self.out.clone(),
+            file: self.out.join(format!("{}.toml", self.id)),
         };
         case.validate()?;
         Ok(case)
@@ -118,9 +118,10 @@ pub(super) struct NewCase<'a> {
 
 impl<'a> NewCase<'a> {
     pub(super) fn new(case: &'a CaseArguments) -> Result<Self> {
-        // It may have been edited: lens, waveform and scope have no other place.
-        let file = case.out.join(format!("{}.toml", case.id));
-        if file.exists() {
+        // It may have been edited: lens, waveform and scope have no other place. And the surfaces may be anybody's.
+        let names = std::iter::once(PathBuf::from(format!("{}.toml", case.id)));
+        let names = names.chain([AIRWAY, INSPIRATION, EXPIRATION, CENTERLINE].map(|name| case.file(name)));
+        if let Some(file) = names.map(|name| case.out.join(name)).find(|file| file.exists()) {
             let sentence = "is there already, and nothing is overwritten: remove it, or take another --id";
             return Err(Error::input(sentence).at(file));
         }

@@ -40,6 +40,9 @@ pub struct TreeArguments {
 pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
     let meaning = arguments.file.meaning();
     let input = &arguments.input;
+    if arguments.out.exists() {
+        return Err(Error::input("is there already, and nothing is overwritten").at(&arguments.out));
+    }
     terminal.stage("centreline and tree");
     let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
         from_table(input, &meaning, &arguments.source)?

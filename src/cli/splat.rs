@@ -224,13 +224,14 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         contributors: arguments.contributors,
         features: arguments.channels.as_deref().map(|path| Features::read(path, &cloud)).transpose()?,
     };
-    output.remove_earlier()?;
+    output.check_replaceable()?;
     let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, KernelChoice::isa))?;
     rasterizer.measure_cpu();
     let repeat = arguments.repeat;
     let pass = rasterizer.estimate(&scene, &views[largest], &settings, weights.is_some());
     let pass = pass.map_err(|e| arguments.of_frame(largest, e))?;
     terminal.accepts(&output.with_files(pass, size, count, repeat))?;
+    output.remove_earlier()?;
     let coefficients = (cloud.sh_degree as usize + 1).pow(2);
     let mut sums = GradientSums::new(cloud.count_in_file, coefficients, count, wanted);
     let mut frames = Vec::new();

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::base::image::codes_from_unit;
-use crate::base::{Error, Estimate, Image, Result};
+use crate::base::{Error, Estimate, Image, Result, files};
 use crate::experiments::timing::{BACKWARD_STAGES, FORWARD_STAGES, Samples};
 use crate::formats::gaussians_ply::GaussianCloud;
 use crate::formats::{exr, npy, png};
@@ -19,8 +19,9 @@ const VALUE_S: f64 = 5e-8;
 /// Sums of gradients over all frames.
 pub(super) const GRADIENTS: &str = "gradients.npz";
 /// Endings of all files of a frame, the first of which every frame has.
-const ENDINGS: [&str; 7] =
-    [".exr", ".png", "_depth.exr", "_alpha.exr", "_contributors.exr", "_normals.exr", "_channels.exr"];
+const ENDINGS: [&str; 7] = [".exr", ".png", "_depth.exr", ALPHA, "_contributors.exr", "_normals.exr", "_channels.exr"];
+/// The ending of opacities, which every frame of `splat` has, and no picture of a film.
+const ALPHA: &str = "_alpha.exr";
 
 /// Medians of one stage in milliseconds.
 #[derive(Serialize)]
@@ -115,6 +116,25 @@ impl SplatOutput {
         self.folder.join(format!("{number:06}{ending}"))
     }
 
+    /// Refuses a folder with numbered pictures that no earlier run wrote, a film's for example: those have opacities.
+    pub fn check_replaceable(&self) -> Result<()> {
+        if !self.folder.is_dir() || self.path(0, ALPHA).exists() {
+            return Ok(());
+        }
+        let is_frame = |name: &str| {
+            let number = name.strip_suffix(".exr").or(name.strip_suffix(".png"));
+            number.is_some_and(|number| number.len() == 6 && number.bytes().all(|b| b.is_ascii_digit()))
+        };
+        let names = files::names_in(&self.folder)?;
+        match names.iter().find(|name| name.to_str().is_some_and(is_frame)) {
+            Some(name) => {
+                let sentence = "is no picture of splat's, and nothing is overwritten: name another folder with --out";
+                Err(Error::input(sentence).at(self.folder.join(name)))
+            }
+            None => Ok(()),
+        }
+    }
+
     /// Removes what an earlier run wrote into the folder: frames that this one does not have would be taken for its.
     pub fn remove_earlier(&self) -> Result<()> {
         let remove = |path: PathBuf| match std::fs::remove_file(&path) {
@@ -157,7 +177,7 @@ impl SplatOutput {
         exr::write_rgb(&path(".exr"), &color)?;
         png::write_rgb(&path(".png"), &codes_from_unit(&color))?;
         exr::write_depth(&path("_depth.exr"), &image(1, rendered.depth.clone()))?;
-        exr::write_channel(&path("_alpha.exr"), "A", &image(1, rendered.alpha.clone()))?;
+        exr::write_channel(&path(ALPHA), "A", &image(1, rendered.alpha.clone()))?;
         if self.contributors {
             let counts = rasterizer.contributors()?.into_iter().map(|count| count as f32).collect();
             exr::write_channel(&path("_contributors.exr"), "N", &image(1, counts))?;
@@ -189,6 +209,10 @@ mod tests {
         own.iter().chain(&others).for_each(|name| std::fs::write(place(name), "").unwrap());
         let output =
             SplatOutput { folder: folder.path().to_owned(), normals: false, contributors: false, features: None };
+        let said = output.check_replaceable().unwrap_err().to_string();
+        assert!(said.contains("000000.exr: is no picture of splat's"), "{said}");
+        std::fs::write(place("000000_alpha.exr"), "").unwrap();
+        output.check_replaceable().unwrap();
         output.remove_earlier().unwrap();
         assert!(own.iter().all(|name| !place(name).exists()) && others.iter().all(|name| place(name).exists()));
     }

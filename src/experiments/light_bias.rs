@@ -186,8 +186,8 @@ impl BiasRow {
 ///
 /// Errors: a case that cannot be built, a reference that cannot be read or written, stopped by the user.
 pub fn rows(case: &Case, sweep: &BiasSweep, watcher: &dyn ExperimentWatcher) -> Result<Vec<BiasRow>> {
-    let anatomy = airway::build(case)?;
-    let route = Route::plan(&anatomy, &case.trajectory)?;
+    let anatomy = airway::build(case).map_err(|e| case.blamed(e))?;
+    let route = Route::plan(&anatomy, &case.trajectory).map_err(|e| case.blamed(e))?;
     let mut rows = Vec::new();
     for &look in &sweep.looks {
         watcher.stage_starts(&format!("{}, {}", case.id, look.name()));
@@ -257,10 +257,14 @@ impl ComparedFrame<'_> {
         let part = |part: u32| {
             let file = folder.join(format!("{each}spp-{part}.exr"));
             watcher.proceed()?;
-            if !file.is_file() {
-                exr::write_rgb(&file, &self.paths(each, part)?)?;
+            // What is there may be damaged, or somebody else's.
+            let fits = |kept: &Image<f32>| kept.same_shape(&probe) && kept.data.iter().all(|v| v.is_finite());
+            if let Some(kept) = exr::read(&file).ok().filter(fits) {
+                return Ok(kept);
             }
-            exr::read(&file)
+            let made = self.paths(each, part)?;
+            exr::write_rgb(&file, &made)?;
+            Ok(made)
         };
         (0..REFERENCE_PARTS).map(part).collect()
     }

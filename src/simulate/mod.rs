@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use crate::airway::case::Case;
 use crate::airway::targets::targets;
 use crate::airway::{self, Anatomy, case_centerline};
-use crate::base::{Error, ErrorKind, Progress, Result, files, hash};
+use crate::base::{Error, Progress, Result, files, hash};
 use crate::formats::transforms::Transforms;
 use crate::formats::{mesh as mesh_file, png};
 use crate::render::Material;
@@ -58,10 +58,7 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     progress.accepts(&settings.estimate(case))?;
     let folder = FolderBefore::of(out, &hash)?;
     progress.advance(0, settings.frames);
-    // What is wrong with the case stands in its file, which has its id where nothing else was meant.
-    let file = case.folder.join(format!("{}.toml", case.id));
-    let is_of_case = |e: &Error| e.path().is_none() && e.kind() == ErrorKind::InputOutput && file.is_file();
-    let of_case = |e: Error| if is_of_case(&e) { e.at(&file) } else { e };
+    let of_case = |e: Error| case.blamed(e);
     let anatomy = airway::build(case).map_err(of_case)?;
     let film = Film::plan_watched(case, &anatomy, settings, &material, progress).map_err(of_case)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));

@@ -324,13 +324,29 @@ fn copied_names(film: &Sequence) -> Vec<(String, String)> {
     names
 }
 
-/// Refuses a folder that [`write()`] would not replace: one that is neither empty nor a participant's.
+/// Refuses a folder that [`write()`] would not replace: one that is neither empty nor a participant's, or holds anything
+/// else beside a participant's files, an answer for example.
 pub fn check_replaceable(out: &Path) -> Result<()> {
     let is_empty = !out.exists() || out.read_dir().map_err(|e| Error::io("reading", out, e))?.next().is_none();
-    if is_empty || Participant::is_at(out) {
+    if is_empty {
         return Ok(());
     }
-    Err(Error::input("is neither empty nor a participant's folder: nothing is overwritten").at(out))
+    if !Participant::is_at(out) {
+        return Err(Error::input("is neither empty nor a participant's folder: nothing is overwritten").at(out));
+    }
+    let head: ParticipantHead = files::read_json(&out.join(PARTICIPANT))?;
+    let is_own = |path: &Path| {
+        let name = path.strip_prefix(out).ok().and_then(Path::to_str);
+        name.is_some_and(|name| name == PARTICIPANT || head.files.contains_key(name))
+    };
+    match files::all_in(out)?.iter().find(|path| !is_own(path)) {
+        Some(other) => {
+            let sentence =
+                "is no file of the participant's folder around it, which would be replaced: move it elsewhere";
+            Err(Error::input(sentence).at(other))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Writes what participants get of `film` into the folder `out`, in place of what they got of an earlier film there.

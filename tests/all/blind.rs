@@ -167,6 +167,7 @@ fn the_participants_folder_tells_nothing_of_the_truth() {
     assert!(accepted(check()).contains("a sound participant's folder of 17 frames"));
     fs::write(participant.join("phase.csv"), "frame,phase\n").unwrap();
     refused(check(), 4, &["participant/phase.csv", "is no file of a participant's folder"]);
+    refused(place.film(), 4, &["participant/phase.csv", "move it elsewhere"]);
     fs::remove_file(participant.join("phase.csv")).unwrap();
     fs::copy(participant.join("images/000001.png"), participant.join("images/000002.png")).unwrap();
     refused(check(), 4, &["images/000002.png", "participant.json"]);

@@ -185,6 +185,7 @@ fn units_axes_and_loose_parts_are_noticed_and_their_cure_works() {
     fails(&mut tree("ras.ply"), &["ras.ply", "--axes ras"]);
     assert!(!at("tree.toml").exists());
     tree("ras.ply").args(["--axes", "ras"]).assert().success();
+    fails(tree("ras.ply").args(["--axes", "ras"]), &["tree.toml: is there already", "nothing is overwritten"]);
     // Landmarks in other units, and a pair of which one file is.
     let metres: String = fs::read_to_string(&landmarks)
         .unwrap()
@@ -271,6 +272,10 @@ fn without_real_files_a_mesh_and_invented_motion_become_a_case() {
     let edited = fs::read_to_string(&file).unwrap().replace("fov_x_deg = 100.0", "fov_x_deg = 77.0");
     fs::write(&file, &edited).unwrap();
     fails(&mut command, &["mine.toml: is there already", "another --id"]);
+    // Nor is a surface that has no case.
+    fs::rename(&file, folder.path().join("other.toml")).unwrap();
+    fails(&mut command, &["mine-airway.ply: is there already", "another --id"]);
+    fs::rename(folder.path().join("other.toml"), &file).unwrap();
     assert_eq!(fs::read_to_string(&file).unwrap(), edited);
     let case = Case::load(&file).unwrap();
     let source = &case.breathing.as_ref().unwrap().field.source;

@@ -66,7 +66,10 @@ impl SimulatedChest {
     ///
     /// Errors: those of [`build`]; an airway without a trachea, or one that is larger than a chest.
     pub fn new(case: &Case) -> Result<SimulatedChest> {
-        let anatomy = build(case)?;
+        build(case).and_then(|anatomy| SimulatedChest::around(anatomy, case)).map_err(|e| case.blamed(e))
+    }
+
+    fn around(anatomy: Anatomy, case: &Case) -> Result<SimulatedChest> {
         let field = match &case.breathing {
             Some(breathing) => breathing.field.clone(),
             None => field_of_pair(&anatomy)?,

@@ -150,7 +150,8 @@ fn imported(
     };
     let pair = import_pair(&request, work, progress)?;
     let scan = read_checked(&inspiration, progress)?;
-    let truth = TrueAirway::new(build(case)?, scan.grid.bounds_mm().1.z)?;
+    let anatomy = build(case).map_err(|e| case.blamed(e))?;
+    let truth = TrueAirway::new(anatomy, scan.grid.bounds_mm().1.z)?;
     let moved = |rest: &TriangleMesh| Ok(mended_pair(rest, carried(&pair.field, &rest.vertices))?.0);
     let given = compared(AirwayWay::Mask, &truth, &pair.surface.mesh, moved(&pair.surface.mesh)?)?;
     let mut facts = Facts::new();

@@ -85,8 +85,8 @@ struct Subject {
 
 impl Subject {
     fn new(case: &Case, sweep: &RenderSweep) -> Result<Subject> {
-        let anatomy = airway::build(case)?;
-        let route = Route::plan(&anatomy, &case.trajectory)?;
+        let anatomy = airway::build(case).map_err(|e| case.blamed(e))?;
+        let route = Route::plan(&anatomy, &case.trajectory).map_err(|e| case.blamed(e))?;
         let mut scene = CaseScene::new(case, &anatomy)?;
         scene.set_phase(sweep.phase)?;
         let viewpoint = Viewpoint::on_route(case, &route, 0.5 * route.length_mm(), sweep.phase, sweep.width_px);
