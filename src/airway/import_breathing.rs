@@ -22,6 +22,7 @@ use super::field_fit::{Anchor, FitQuality, FitSettings, LAMBDAS, choose_centers,
 use crate::base::range::COORDINATE_MM;
 use crate::base::{Error, Result, files};
 use crate::formats::landmarks::LandmarkPair;
+use crate::formats::number_table;
 
 /// Where the carina lies in the lungs' box at inspiration, as fractions from its low (right, front, bottom) corner.
 const CARINA_FRACTION: DVec3 = DVec3::new(0.5, 0.57, 0.64);
@@ -46,6 +47,17 @@ const MOST_BEYOND: f64 = 0.9;
 /// An end of the way that moves less than this many mm is taken to stand still.
 const LEAST_MOTION_MM: f64 = 0.01;
 
+/// Columns of a table of the lungs' boxes, of words and of numbers.
+const BOX_COLUMNS: [&str; 2] = ["case", "phase"];
+const BOX_SIDES_MM: [number_table::Column<'static>; 6] = [
+    ("min_x", COORDINATE_MM),
+    ("min_y", COORDINATE_MM),
+    ("min_z", COORDINATE_MM),
+    ("max_x", COORDINATE_MM),
+    ("max_y", COORDINATE_MM),
+    ("max_z", COORDINATE_MM),
+];
+
 /// Axis-aligned box in mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LungBox {
@@ -56,23 +68,34 @@ pub struct LungBox {
 }
 
 impl LungBox {
-    /// The inspiration box of `patient` in a table `case,phase,min_x,..,max_z`. Errors name file and row.
+    /// The box of `patient` in the phase `insp` of a table with the columns [`BOX_COLUMNS`] and [`BOX_SIDES_MM`], in any
+    /// order. Errors name file and line: no such box, or two; corners that are swapped.
     pub fn read(path: &Path, patient: &str) -> Result<LungBox> {
-        for (row, line) in files::read_text(path)?.lines().enumerate().skip(1) {
-            let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-            if cells.len() == 8 && cells[0] == patient && cells[1] == "insp" {
-                let values: Vec<f64> = cells[2..].iter().filter_map(|c| c.parse().ok()).collect();
-                let [a, b, c, d, e, f] = values[..] else {
-                    return Err(Error::input("is not six numbers").element(format!("line {}", row + 1)).at(path));
-                };
-                values
-                    .iter()
-                    .try_for_each(|&v| COORDINATE_MM.check(v))
-                    .map_err(|e| e.element(format!("line {}", row + 1)).at(path))?;
-                return Ok(LungBox { low_mm: DVec3::new(a, b, c), high_mm: DVec3::new(d, e, f) });
+        LungBox::parse(&files::read_bytes(path)?, patient).map_err(|e| e.at(path))
+    }
+
+    fn parse(bytes: &[u8], patient: &str) -> Result<LungBox> {
+        let names: Vec<&str> = BOX_COLUMNS.into_iter().chain(BOX_SIDES_MM.map(|(name, _)| name)).collect();
+        let [cases, phases] = BOX_COLUMNS.map(|column| number_table::words(bytes, column, &names));
+        let (cases, phases) = (cases?, phases?);
+        let rows = number_table::rows(bytes, BOX_SIDES_MM)?;
+        let mut of_patient = rows
+            .iter()
+            .zip(cases.iter().zip(&phases))
+            .filter_map(|(row, (case, phase))| (case == patient && phase.eq_ignore_ascii_case("insp")).then_some(row));
+        let row = match (of_patient.next(), of_patient.next()) {
+            (Some(row), None) => row,
+            (None, _) => return Err(Error::input(format!("has no box of case `{patient}` in phase `insp`"))),
+            (_, Some(second)) => return Err(second.refuse(Error::input(format!("`{patient}` is there twice")))),
+        };
+        let [low, high] = [0, 3].map(|k| DVec3::new(row.numbers[k], row.numbers[k + 1], row.numbers[k + 2]));
+        match (0..3).find(|&axis| low[axis] >= high[axis]) {
+            Some(axis) => {
+                let [below, above] = [axis, axis + 3].map(|k| BOX_SIDES_MM[k].0);
+                Err(row.refuse(Error::input(format!("{below} must be less than {above}"))))
             }
+            None => Ok(LungBox { low_mm: low, high_mm: high }),
         }
-        Err(Error::input(format!("has no inspiration box of `{patient}`")).at(path))
     }
 
     /// The box around landmarks, a twentieth wider on each side: for patients without a measured box.
@@ -368,6 +391,26 @@ mod tests {
         assert!((moves_mm(scale).unwrap() - 8.0).abs() < 1e-4, "{scale}");
         let error = scaled_to(8.0, 1.0, |scale| scale, |scale| Ok(0.005 * scale)).unwrap_err();
         assert!(error.to_string().contains("0.005 mm, which nothing can scale"), "{error}");
+    }
+
+    #[test]
+    fn a_lungs_box_is_found_by_the_names_of_the_columns() {
+        let head = "case,phase,min_x,min_y,min_z,max_x,max_y,max_z";
+        let read = |text: &str| LungBox::parse(text.as_bytes(), "a");
+        let of = |text: &str| read(text).unwrap();
+        let wanted = LungBox { low_mm: DVec3::new(1.0, 2.0, 3.0), high_mm: DVec3::new(4.0, 5.0, 6.0) };
+        assert_eq!(of(&format!("{head}\na,exp,0,0,0,1,1,1\nb,insp,0,0,0,1,1,1\na,insp,1,2,3,4,5,6\n")), wanted);
+        assert_eq!(of("max_z,note,max_y,max_x,Phase,min_z,min_y,min_x,case\n6,x,5,4,Insp,3,2,1,\"a\"\n"), wanted);
+        for (text, says) in [
+            (format!("{head}\na,insp,4,2,3,1,5,6\n"), "line 2: min_x must be less than max_x"),
+            (format!("{head}\na,insp,1,2,3,4,5,6\n\na,insp,1,2,3,4,5,6\n"), "line 4: `a` is there twice"),
+            (format!("{head}\nb,insp,1,2,3,4,5,6\n"), "has no box of case `a` in phase `insp`"),
+            (format!("{head}\na,insp,1,2,3,4,5\n"), "line 2"),
+            ("a,insp,1,2,3,4,5,6\n".to_owned(), "column case: is missing; the columns are case,phase,min_x"),
+        ] {
+            let said = read(&text).unwrap_err().to_string();
+            assert!(said.contains(says), "{said}");
+        }
     }
 
     #[test]

@@ -316,7 +316,8 @@ impl Reader {
         let leaves_out = feed.leaves_out() && !every_frame;
         let mut poses = poses.as_deref().map(LivePoses::open).transpose()?;
         let start = Instant::now();
-        let mut folder = FolderNames::default();
+        // A film's poses are those of its pictures, and a picture that is missing would shift them.
+        let mut folder = FolderNames { without_gaps: poses.is_none(), ..FolderNames::default() };
         for number in 0.. {
             let image = match &mut feed {
                 FrameFeed::Film | FrameFeed::Paced if number >= table.len() => None,
@@ -328,14 +329,16 @@ impl Reader {
                     Some(image)
                 }
                 FrameFeed::Folder(path, patience) => folder.next(path, *patience, film.given_camera())?,
-                FrameFeed::Raw(pipe) => raw_image(pipe, film.given_camera(), number)?,
+                FrameFeed::Raw(pipe) => {
+                    raw_image(pipe, film.given_camera(), number).map_err(|e| e.at("standard input"))?
+                }
             };
             let Some(image) = image else { return Ok(()) };
             let since = Instant::now();
             let missing = || Error::input("has come, and its pose has not").element(format!("frame {number}"));
             let (time_s, world_from_camera) = match &mut poses {
                 None => *table.get(number).ok_or_else(missing)?,
-                Some(poses) => poses.next_pose()?.ok_or_else(missing)?,
+                Some(poses) => poses.next_pose()?.ok_or_else(|| missing().at(poses.path()))?,
             };
             let frame = ArrivedFrame { image: Arc::new(image), time_s, world_from_camera, left_out: 0 };
             if !queue.push(Waiting { number, since, frame }, leaves_out) {
@@ -371,11 +374,15 @@ fn raw_image(pipe: &mut dyn Read, camera: Camera, number: usize) -> Result<Optio
 #[derive(Default)]
 struct FolderNames {
     last: Option<PathBuf>,
+    /// How many have been taken.
+    count: u64,
+    /// Whether pictures that are numbered from 0 must all come.
+    without_gaps: bool,
 }
 
 impl FolderNames {
     /// Waits for the picture that follows the last one by name; `None` when none has come for `patience`. A picture
-    /// that cannot be read is taken to be half written until then.
+    /// that cannot be read is taken to be half written until then, and one whose number leaves a gap to be early.
     fn next(&mut self, folder: &Path, patience: Duration, camera: Camera) -> Result<Option<Image<u8>>> {
         let start = Instant::now();
         let mut damaged = None;
@@ -384,7 +391,8 @@ impl FolderNames {
                 name.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) && self.last.as_ref() < Some(name)
             };
             let next = files::names_in(folder)?.into_iter().filter(is_new).find(|name| folder.join(name).is_file());
-            if let Some(name) = next {
+            let gap = next.as_ref().filter(|name| self.leaves_gap(name)).map(|name| folder.join(name));
+            if let Some(name) = next.filter(|_| gap.is_none()) {
                 let path = folder.join(&name);
                 match png::read_rgb(&path) {
                     Ok(image) => {
@@ -394,18 +402,36 @@ impl FolderNames {
                             let sentence = format!("has {width}x{height} pixels, the camera {}x{}", size.0, size.1);
                             return Err(Error::input(sentence).at(path));
                         }
+                        self.without_gaps &= number_of(&name) == Some(self.count);
                         self.last = Some(name);
+                        self.count += 1;
                         return Ok(Some(image));
                     }
                     Err(error) => damaged = Some(error),
                 }
             }
             if start.elapsed() >= patience {
+                if let Some(path) = gap {
+                    let sentence =
+                        format!("has come, and picture {} has not, so that its pose would be another's", self.count);
+                    return Err(Error::input(sentence).at(path));
+                }
                 return damaged.map_or(Ok(None), Err);
             }
             std::thread::sleep(LOOK_AGAIN);
         }
     }
+
+    /// Whether a picture comes too early, of those that are numbered from 0.
+    fn leaves_gap(&self, name: &Path) -> bool {
+        self.without_gaps && self.count > 0 && number_of(name).is_some_and(|number| number > self.count)
+    }
+}
+
+/// The number that a picture is called by, if it is called by nothing else.
+fn number_of(name: &Path) -> Option<u64> {
+    let stem = name.file_stem()?.to_str()?;
+    stem.bytes().all(|b| b.is_ascii_digit()).then(|| stem.parse().ok())?
 }
 
 #[cfg(test)]
@@ -452,6 +478,30 @@ mod tests {
         let mut next = || names.next(folder.path(), Duration::ZERO, Camera::pinhole(2, 2, 1.0)).unwrap();
         let taken: Vec<u8> = std::iter::from_fn(|| next().map(|image| image.data[0])).collect();
         assert_eq!(taken, [0, 1]);
+    }
+
+    #[test]
+    fn a_picture_that_is_missing_shifts_no_poses() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = |names: &[&str], without_gaps: bool| -> Result<usize> {
+            let _ = std::fs::remove_dir_all(folder.path());
+            for name in names {
+                png::write_rgb(&folder.path().join(name), &Image::filled(2, 2, 3, 0)).unwrap();
+            }
+            let mut names = FolderNames { without_gaps, ..FolderNames::default() };
+            let mut count = 0;
+            while names.next(folder.path(), Duration::ZERO, Camera::pinhole(2, 2, 1.0))?.is_some() {
+                count += 1;
+            }
+            Ok(count)
+        };
+        let gap = ["000000.png", "000001.png", "000003.png"];
+        let said = taken(&gap, true).unwrap_err().to_string();
+        assert!(said.contains("000003.png: has come, and picture 2 has not"), "{said}");
+        // Poses of their own come with the pictures, and other numbers are times.
+        assert_eq!(taken(&gap, false).unwrap(), 3);
+        assert_eq!(taken(&["1700000000.png", "1700000040.png"], true).unwrap(), 2);
+        assert_eq!(taken(&["frame 000000.png", "frame 000003.png"], true).unwrap(), 2);
     }
 
     #[test]

@@ -56,6 +56,11 @@ impl<R: Read> LivePoses<R> {
         LivePoses { lines: BufReader::new(reader), path: path.to_path_buf(), count: 0, last_s: None }
     }
 
+    /// What errors call it.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Time in seconds and pose of the next frame; `None` after the last line. Waits for a line that has not come yet.
     ///
     /// Errors name the line: longer than 64 KiB, no JSON of a time and a rigid motion, a number out of range, a time

@@ -15,7 +15,7 @@ use crate::airway::field_fit::check_pairs;
 use crate::airway::fold_mending::Mending;
 use crate::airway::import_breathing::{Beyond, LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
 use crate::airway::import_carried::scaled_carried_breathing;
-use crate::airway::import_check::{ExpectedAnatomy, check_landmarks};
+use crate::airway::import_check::{ExpectedAnatomy, check_landmarks, check_lungs};
 use crate::airway::{Anatomy, case_build};
 use crate::base::range::NumberRange;
 use crate::base::{Error, Progress, Result};
@@ -94,7 +94,11 @@ impl MotionArguments {
         check_pairs(&pairs).and_then(|()| check_landmarks(&pairs, anatomy)).map_err(|e| e.at(path))?;
         let patient = path.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
         let lungs = match &self.lung_boxes {
-            Some(path) => Some(LungBox::read(path, &patient)?),
+            Some(path) => {
+                let lungs = LungBox::read(path, &patient)?;
+                check_lungs([lungs.low_mm, lungs.high_mm], anatomy).map_err(|e| e.at(path))?;
+                Some(lungs)
+            }
             None => self.other_patient.then(|| LungBox::around(&pairs)),
         };
         Ok(ReadMotion::Landmarks { pairs, lungs, path: path.clone() })

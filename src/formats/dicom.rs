@@ -82,6 +82,13 @@ struct SliceHeader {
 /// Errors name the file and what it lacks; or say what the folder is instead of one CT series, and the cure.
 pub fn read_folder(folder: &Path) -> Result<Volume<i16>> {
     let paths = files::all_directly_in(folder)?;
+    // A slice whose content was not fetched is one that is missing.
+    for name in files::names_in(folder)? {
+        let path = folder.join(name);
+        if path.is_symlink() && !path.exists() {
+            return Err(Error::input("is a link to nowhere: fetch its content, or remove it").at(path));
+        }
+    }
     let mut slices: Vec<SliceHeader> = Vec::new();
     for path in &paths {
         let Some(slice) = read_slice(path).map_err(|e| e.at(path))? else { continue };

@@ -4,7 +4,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
-use exr::meta::header::LayerAttributes;
+use exr::meta::attribute::IntegerBounds;
+use exr::meta::header::{Header, LayerAttributes};
 use exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
 
 use super::damage::guarded;
@@ -78,6 +79,11 @@ pub fn decode(bytes: &[u8]) -> Result<Image<f32>> {
     guarded("OpenEXR", || decode_unguarded(bytes))
 }
 
+/// Where the pixels of a part lie.
+fn data_window(header: &Header) -> IntegerBounds {
+    IntegerBounds::new(header.own_attributes.layer_position, header.layer_size)
+}
+
 fn decode_unguarded(bytes: &[u8]) -> Result<Image<f32>> {
     let damaged = |e: exr::error::Error| Error::input(format!("is not a readable OpenEXR file: {e}"));
     let chunks = exr::block::read(Cursor::new(bytes), false).map_err(damaged)?;
@@ -92,6 +98,17 @@ fn decode_unguarded(bytes: &[u8]) -> Result<Image<f32>> {
                 bytes.len()
             )));
         }
+    }
+    let chosen = chunks.meta_data().headers.first();
+    if let Some(header) = chosen.filter(|header| header.shared_attributes.display_window != data_window(header)) {
+        let (whole, part) = (header.shared_attributes.display_window.size, header.layer_size);
+        return Err(Error::input(format!(
+            "holds {}x{} pixels of a picture of {}x{} (data window and display window): the whole picture is wanted",
+            part.width(),
+            part.height(),
+            whole.width(),
+            whole.height()
+        )));
     }
     let image = exr::image::read::read()
         .no_deep_data()
@@ -165,6 +182,17 @@ mod tests {
             bytes[bit / 8] ^= 1 << (bit % 8);
             let _ = decode(&bytes);
         }
+    }
+
+    #[test]
+    fn a_part_of_a_picture_is_not_the_picture() {
+        let mut bytes = encode(&sample(1), &["Y"]).unwrap();
+        let name = b"displayWindow\0box2i\0";
+        let at = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
+        // The picture is 48 wide, of which six columns are there.
+        bytes[at + 8..at + 12].copy_from_slice(&47i32.to_le_bytes());
+        let said = decode(&bytes).unwrap_err().to_string();
+        assert!(said.contains("holds 6x5 pixels of a picture of 48x5"), "{said}");
     }
 
     #[test]

@@ -42,21 +42,9 @@ pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Ve
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
     let mut places = [0; N];
-    for (place, (name, _)) in places.iter_mut().zip(columns) {
-        let mut found = header.iter().enumerate().filter(|(_, h)| is_named(h, name)).map(|(at, _)| at);
-        *place = match (found.next(), found.next()) {
-            (Some(at), None) => at,
-            (Some(_), Some(_)) => return Err(Error::input("is there twice").element(format!("line 1: column {name}"))),
-            (None, _) if header.len() == 1 && header[0].contains([';', '\t']) => {
-                let sentence = "has no comma: columns are separated by commas, not by semicolons or tabs";
-                return Err(Error::input(sentence).element("line 1"));
-            }
-            (None, _) => {
-                let names = columns.map(|(name, _)| name).join(",");
-                let missing = Error::input(format!("is missing; the columns are {names}"));
-                return Err(missing.element(format!("line 1: column {name}")));
-            }
-        };
+    let names = columns.map(|(name, _)| name);
+    for (place, name) in places.iter_mut().zip(names) {
+        *place = place_of(name, &header, &names)?;
     }
     let mut rows = Vec::new();
     for record in reader.records() {
@@ -75,6 +63,37 @@ pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Ve
         rows.push(NumberRow { line, numbers });
     }
     Ok(rows)
+}
+
+/// What stands in `column`, which is one of `names`, in each of the rows.
+///
+/// Errors as [`rows`].
+pub fn words(bytes: &[u8], column: &str, names: &[&str]) -> Result<Vec<String>> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
+    let place = place_of(column, &header, names)?;
+    let word = |record: csv::Result<csv::StringRecord>| match record {
+        Ok(record) => Ok(record.get(place).unwrap_or_default().to_owned()),
+        Err(e) => Err(Error::input(e.to_string()).element(format!("line {}", line_of(bytes, e.position())))),
+    };
+    reader.records().map(word).collect()
+}
+
+/// Which column of a table is called `name`; all of `names` are wanted.
+fn place_of(name: &str, header: &csv::StringRecord, names: &[&str]) -> Result<usize> {
+    let mut found = header.iter().enumerate().filter(|(_, h)| is_named(h, name)).map(|(at, _)| at);
+    match (found.next(), found.next()) {
+        (Some(at), None) => Ok(at),
+        (Some(_), Some(_)) => Err(Error::input("is there twice").element(format!("line 1: column {name}"))),
+        (None, _) if header.len() == 1 && header[0].contains([';', '\t']) => {
+            let sentence = "has no comma: columns are separated by commas, not by semicolons or tabs";
+            Err(Error::input(sentence).element("line 1"))
+        }
+        (None, _) => {
+            let missing = Error::input(format!("is missing; the columns are {}", names.join(",")));
+            Err(missing.element(format!("line 1: column {name}")))
+        }
+    }
 }
 
 /// Whether the first line of a table names `column`.

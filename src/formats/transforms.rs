@@ -10,8 +10,11 @@ use std::path::Path;
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::base::range::COORDINATE;
+use crate::base::range::{COORDINATE, NumberRange};
 use crate::base::{Camera, Error, Result, files, pose};
+
+/// Angles of view of a picture in radians, in degrees from .06 to 179.9.
+const ANGLE_RAD: NumberRange = NumberRange::new(1e-3, 3.14);
 
 /// Intrinsics as they stand in the file, at its top or in a frame; what a frame leaves out is as at the top.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -151,10 +154,16 @@ impl TransformsLens {
             return Err(Error::input(message).element(format!("k{}", k + 1)));
         }
         let (width, height) = (self.w.ok_or_else(|| wanted("w"))?, self.h.ok_or_else(|| wanted("h"))?);
-        let of_angle = |angle: f64, size: u32| f64::from(size) / 2.0 / (angle / 2.0).tan();
-        let fl_x = self.fl_x.or(self.camera_angle_x.map(|angle| of_angle(angle, width)));
-        let fl_x = fl_x.ok_or_else(|| wanted("fl_x"))?;
-        let fl_y = self.fl_y.or(self.camera_angle_y.map(|angle| of_angle(angle, height)));
+        let length = |length: Option<f64>, angle: Option<f64>, key: &str, size: u32| match (length, angle) {
+            (Some(length), _) => Ok(Some(length)),
+            (None, Some(angle)) => {
+                ANGLE_RAD.check(angle).map_err(|e| Error::input(format!("{e}: it is in radians")).element(key))?;
+                Ok(Some(f64::from(size) / 2.0 / (angle / 2.0).tan()))
+            }
+            (None, None) => Ok(None),
+        };
+        let fl_x = length(self.fl_x, self.camera_angle_x, "camera_angle_x", width)?.ok_or_else(|| wanted("fl_x"))?;
+        let fl_y = length(self.fl_y, self.camera_angle_y, "camera_angle_y", height)?;
         let camera = Camera {
             width,
             height,
@@ -454,6 +463,12 @@ mod tests {
             ("", vec![own, ""], "`w` stands neither"),
             ("\"w\":160.5,\"h\":1,\"fl_x\":1,", vec![""], "160.5 is no number of pixels"),
             ("\"w\":-1,\"h\":1,\"fl_x\":1,", vec![""], "-1 is no number of pixels"),
+            (
+                "\"w\":8,\"h\":8,\"camera_angle_x\":90,",
+                vec![""],
+                "camera_angle_x: 90 must lie in 0.001 to 3.14: it is in",
+            ),
+            ("\"w\":8,\"h\":8,\"fl_x\":4,\"camera_angle_y\":-1,", vec![""], "camera_angle_y: -1 must lie"),
             ("", vec![own, ",\"w\":8,\"h\":8,\"fl_x\":1,\"k2\":1"], "frame 1: k2: radial"),
         ] {
             let said = parse(top, &frames).unwrap_err().to_string();

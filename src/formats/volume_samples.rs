@@ -10,6 +10,8 @@ use crate::base::{Error, Result, Volume, VoxelGrid};
 const HOUNSFIELD: NumberRange = NumberRange::new(i16::MIN as f64, i16::MAX as f64);
 /// Bytes decoded at a time; a multiple of every sample's size.
 const CHUNK_BYTES: usize = 1 << 20;
+/// Bytes behind the voxels that are looked through for a checksum; a file may have no end.
+const MOST_BEHIND_BYTES: u64 = 1 << 24;
 
 /// A voxel's Hounsfield units, rounded. Errors: no number, or more than a scan can hold.
 pub fn hounsfield(value: f64) -> Result<i16> {
@@ -161,6 +163,28 @@ impl VolumeSource {
         }
         // The checksum of a packed file stands at its end.
         let damaged = |e| Error::input(format!("is damaged: {e}"));
-        std::io::copy(&mut self.reader, &mut std::io::sink()).map(|_| ()).map_err(damaged)
+        std::io::copy(&mut self.reader.take(MOST_BEHIND_BYTES), &mut std::io::sink()).map(|_| ()).map_err(damaged)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn a_file_without_end_ends_with_its_voxels() {
+        let source = VolumeSource {
+            grid: VoxelGrid::upright([2, 3, 2], DVec3::ZERO, DVec3::ONE),
+            channels: 1,
+            order: ChannelOrder::ByVoxel,
+            kind: SampleKind::U8,
+            is_big_endian: false,
+            slope: 2.0,
+            intercept: -1.0,
+            reader: Box::new(std::io::repeat(7)),
+        };
+        assert_eq!(source.read_scalars(hounsfield).unwrap().data, [13; 12]);
     }
 }
