@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::correspondence;
 use super::metric::{Metric, Needs};
+use super::other_frame::{poses_warning, targets_warning};
 use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::truth::{Truth, final_mesh};
@@ -113,6 +114,9 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
     contents.warnings.extend(depth_warning(DEPTH, &depths.into_iter().flatten().collect::<Vec<_>>()));
     contents.warnings.extend(depth_warning(NOVEL_DEPTH, &novel_depths));
     contents.warnings.extend(surface.as_ref().and_then(surface_warning));
+    let targets = prediction.targets().and_then(|found| targets_warning(found, &question.planned_targets_mm));
+    contents.warnings.extend(targets);
+    contents.warnings.extend(prediction.poses().and_then(|found| poses_warning(found, &question.given_poses)));
     contents.warnings.extend(beyond_warning(folder, frames));
     contents.warnings.extend(unread_warnings(&prediction, folder, frames)?);
     Ok(contents)
@@ -238,6 +242,7 @@ pub fn check_truth(truth: &dyn Truth) -> Result<usize> {
         truth.novel_image(view.frame)?;
         truth.novel_depth_mm(view.frame).map(|_| ())
     })?;
+    truth.mask()?;
     final_mesh(truth)?.validate()?;
     if truth.inspiration()?.faces != truth.expiration()?.faces {
         return Err(Error::input("the two surfaces have different faces"));

@@ -192,7 +192,7 @@ fn target_distances(truth: &dyn Truth, prediction: &Prediction) -> Vec<Vec<f64>>
 }
 
 /// Distance in mm between two poses, and the angle in degrees between them.
-fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
+pub(super) fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
     let turn = DQuat::from_mat3(&(truth.matrix3.transpose() * predicted.matrix3));
     let angle = 2.0 * turn.xyz().length().atan2(turn.w.abs());
     [predicted.translation.distance(truth.translation), angle.to_degrees()]

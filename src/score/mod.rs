@@ -18,6 +18,7 @@ mod measured;
 mod measures;
 mod metric;
 mod navigation;
+mod other_frame;
 mod prediction;
 #[cfg(test)]
 mod protocol_tests;

@@ -52,8 +52,10 @@ pub struct Question {
     pub frames: usize,
     /// Frames with a second camera, ascending.
     pub novel_frames: Vec<usize>,
-    /// Targets.
-    pub targets: usize,
+    /// Where each target was planned, at inspiration, mm.
+    pub planned_targets_mm: Vec<DVec3>,
+    /// The pose of every frame as it is given.
+    pub given_poses: Vec<DAffine3>,
     /// Whether there are coughs or touches of the wall, where it may be known.
     pub is_disturbed: Option<bool>,
     /// Vertices of the true surface, where they are known: `correspondence.csv` has a row for each.
@@ -71,7 +73,8 @@ impl Question {
             camera: *truth.camera(),
             frames: truth.frames().len(),
             novel_frames: truth.novel_views().iter().map(|view| view.frame).collect(),
-            targets: truth.targets().len(),
+            planned_targets_mm: truth.targets().iter().map(|target| target.inspiration_mm).collect(),
+            given_poses: truth.told_poses(),
             is_disturbed: truth.disturbed().ok().map(|frames| frames.contains(&true)),
             vertices: None,
             case_id: Some(truth.case_id().to_owned()),
@@ -95,7 +98,8 @@ impl Question {
             camera: participant.given_camera(),
             frames: participant.given_frames().len(),
             novel_frames: participant.given_views().iter().map(|view| view.frame).collect(),
-            targets: participant.planned_targets_mm().len(),
+            planned_targets_mm: participant.planned_targets_mm(),
+            given_poses: participant.given_frames().iter().map(|frame| frame.world_from_camera).collect(),
             is_disturbed: None,
             vertices: None,
             case_id: None,
@@ -195,6 +199,7 @@ impl Prediction {
         if let Some(ending) = novel_depth_ending {
             expect_frames(&root.join(NOVEL_DEPTH), ending, views.iter().copied())?;
         }
+        let targets = question.planned_targets_mm.len();
         let (phase, phase_sd) = read_phase(&root.join(PHASE), frames)?.unzip();
         let [time_total_s, time_cpu_s] = read_time(&root.join(TIMING))?;
         let prediction = Prediction {
@@ -205,8 +210,8 @@ impl Prediction {
             ahead: ahead_frames(&root.join(AHEAD), frames)?,
             novel,
             novel_depth_ending,
-            targets: read_targets(&root.join(TARGETS), frames, question.targets)?,
-            target_covariance_mm2: read_covariance(&root.join(TARGET_COVARIANCE), frames, question.targets)?,
+            targets: read_targets(&root.join(TARGETS), frames, targets)?,
+            target_covariance_mm2: read_covariance(&root.join(TARGET_COVARIANCE), frames, targets)?,
             method: about.method,
             phase,
             phase_sd: phase_sd.flatten(),
