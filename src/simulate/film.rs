@@ -6,14 +6,15 @@ use crate::airway::Anatomy;
 use crate::airway::case::{Case, ScopeSettings};
 use crate::airway::waveform::Waveform;
 use crate::base::statistics::upper_median;
-use crate::base::{Camera, Error, NoProgress, Progress, Result, mesh};
+use crate::base::{Camera, Error, Mask, NoProgress, Progress, Result, mesh};
 use crate::render::{Light, Material, Scene};
 
+use super::clinical::optics::lens_note;
 use super::clinical::table::FrameConditions;
 use super::clinical::{self, ClinicalFilm};
 use super::exposure;
 use super::novel_view::beside;
-use super::sensor::mask_radius_px;
+use super::sensor::{Sensor, mask_radius_px};
 use super::sequence::{self, FrameRecord, NovelView};
 use super::settings::SimulationSettings;
 use super::steering::Steering;
@@ -26,6 +27,8 @@ const LEAST_CLEARANCE: f64 = 0.9;
 const END_TOLERANCE: f64 = 0.01;
 /// Share of the values that the automatic exposure may expect to clip, in the middle frame.
 const MOST_CLIPPED: f64 = 0.25;
+/// Largest albedo of a wall whose light, thrown back and forth, is found to half a per cent; looks have up to .64.
+const MOST_ALBEDO: f64 = 0.9;
 /// On the clinical track the lumen moves otherwise than when it was measured: this part of the room is used.
 const CLINICAL_ROOM: f64 = 0.85;
 /// Least distance in mm of its camera from the wall.
@@ -206,6 +209,13 @@ impl Film {
         });
         let camera = clinical.as_ref().map_or(nominal, |clinical| clinical.optics.camera);
         let scope = clinical.as_ref().map_or(case.scope, |clinical| clinical.scope(case));
+        notes.extend(drawn.as_ref().and_then(|drawn| lens_note(&nominal, drawn)));
+        notes.extend(bright_wall_note(material));
+        if let Some(mask) = Sensor::new(&camera, &scope, case.seed).mask(&camera) {
+            // Less one pixel at its rim, as it is scored.
+            let hides = |e: Error| e.element("scope.mask_radius");
+            Mask::from_image(&mask).and_then(|mask| mask.eroded(1)).map_err(hides)?;
+        }
         let mut way = Way { route, waveform, seed: case.seed, steering: pace.steering, start_mm, clinical };
         way.plan_contact(&mut scene, &time_s)?;
         notes.extend(way.clinical.iter().filter(|c| c.motion.share < 1.0).map(|c| {
@@ -476,6 +486,17 @@ fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f6
         return Ok(upper_median(ways.iter().map(|way| way.length())).unwrap_or(0.0));
     }
     Ok(visible.image_motion_px(camera, (&open.0, open.1), (&close.0, close.1)))
+}
+
+/// What is said of walls so bright that light goes on between them for longer than a film follows it.
+fn bright_wall_note(material: &Material) -> Option<String> {
+    let most = material.albedo.into_iter().fold(0.0, f64::max);
+    (most > MOST_ALBEDO).then(|| {
+        format!(
+            "walls of albedo {most} send light on for longer than a film follows it: above {MOST_ALBEDO} pictures are too dark \
+             by some per cent (up to 9 at .99, 21 at 1), and the exposure expects less light than there is"
+        )
+    })
 }
 
 /// The proxy needs geometry alone: no texture is made for it.

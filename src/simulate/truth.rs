@@ -9,6 +9,11 @@ use crate::base::{Camera, Image, Result, TriangleMesh};
 use crate::render::Scene;
 use crate::render::probe::{SurfacePoint, image_of, probe};
 
+/// Tissue beyond the picture's rim by more than this part of the picture has left it, as far as its way is concerned; and
+/// how often a way is halved about its middle until it has not.
+const BESIDE_PICTURE: f64 = 0.5;
+const MOST_HALVINGS: u32 = 10;
+
 /// A kind of ground-truth image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -128,13 +133,25 @@ impl<'a> VisibleWall<'a> {
     }
 
     /// Way in pixels of the tissue at each pixel over the image of `camera`, from one pose and wall to another; 0 where
-    /// nothing is visible in both.
+    /// nothing is visible. Of what leaves the picture by far, or passes the camera, the part about the middle of the way.
     pub fn image_ways_px(&self, camera: &Camera, from: (&DAffine3, &[DVec3]), to: (&DAffine3, &[DVec3])) -> Vec<DVec2> {
         let eyes = [from, to].map(|(pose, vertices)| (pose.inverse(), vertices));
-        let place = |point: &SurfacePoint, (eye, vertices): &(DAffine3, &[DVec3])| {
-            camera.project(eye.transform_point3(point.on(vertices, &self.rest.faces)))
+        let (low, high) = (DVec2::ZERO, DVec2::new(f64::from(camera.width), f64::from(camera.height)));
+        let room = (high - low) * BESIDE_PICTURE;
+        let is_near = |at: &DVec2| at.cmpge(low - room).all() && at.cmple(high + room).all();
+        let project = |place: DVec3| camera.project(place).filter(is_near);
+        let way = |point: &SurfacePoint| {
+            let [from, to] = [0, 1].map(|k| eyes[k].0.transform_point3(point.on(eyes[k].1, &self.rest.faces)));
+            let mut ends = [from, to];
+            for _ in 0..MOST_HALVINGS {
+                if let [Some(a), Some(b)] = ends.map(project) {
+                    return Some(b - a);
+                }
+                let middle = from.midpoint(to);
+                ends = ends.map(|end| middle.midpoint(end));
+            }
+            None
         };
-        let way = |point: &SurfacePoint| Some(place(point, &eyes[1])? - place(point, &eyes[0])?);
         let all = self.points.par_iter().map(|point| point.as_ref().and_then(way).unwrap_or(DVec2::ZERO));
         all.collect()
     }

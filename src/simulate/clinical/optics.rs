@@ -19,6 +19,9 @@ const LAMP_CLEARANCE_MM: f64 = 0.3;
 /// Half angles of lamps in degrees.
 const HALF_ANGLE_DEG: [f64; 2] = [30.0, 84.0];
 
+/// How far a pinhole's fit may be off within the rim, as a part of the residual distortion there, before it is told.
+const MOST_FIT_ERROR: f64 = 0.5;
+
 /// What one film's lens and lamp are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrueOptics {
@@ -86,6 +89,29 @@ impl TrueOptics {
     }
 }
 
+/// What is said of a wide pinhole, which the fisheye model cannot follow as closely as the residual distortion is small.
+pub fn lens_note(nominal: &Camera, settings: &ClinicalSettings) -> Option<String> {
+    let residual = settings.optics.residual_distortion;
+    if nominal.fisheye.is_some() || residual == 0.0 {
+        return None;
+    }
+    let k = pinhole_as_fisheye(nominal);
+    let edge = (0.5 * f64::from(nominal.width) / nominal.fl_x).atan();
+    let off = |angle: f64| {
+        let fitted = angle * (1.0 + (0..4).map(|n| k[n] * angle.powi(2 * n as i32 + 2)).sum::<f64>());
+        (fitted - angle.tan()).abs()
+    };
+    let angles = (1..=FITTED_ANGLES).map(|n| edge * n as f64 / FITTED_ANGLES as f64);
+    let (found, wanted) = (angles.map(off).fold(0.0, f64::max), residual.abs() * edge.powi(3));
+    (found > MOST_FIT_ERROR * wanted).then(|| {
+        format!(
+            "the true lens is off by up to {:.2} px more than clinical.optics.residual_distortion says: a pinhole so wide is \
+             followed badly by the fisheye model in which it is disturbed; a camera.fisheye is not",
+            found * nominal.fl_x
+        )
+    })
+}
+
 /// A pinhole in the terms of the fisheye model, `tan(t) = t (1 + k1 t^2 + ...)`: least squares at Chebyshev's angles up to
 /// that of the farthest corner. Within .05 px of it in images of 256 and 115 degrees; the first terms of the tangent's
 /// series would be off by 7 px in their corners.
@@ -116,6 +142,16 @@ mod tests {
 
     fn case() -> Case {
         Case::load(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/case1.toml")).unwrap()
+    }
+
+    #[test]
+    fn a_pinhole_that_is_too_wide_for_the_model_is_told() {
+        let note =
+            |degrees: f64| lens_note(&Camera::pinhole(64, 64, degrees.to_radians()), &ClinicalSettings::default());
+        assert_eq!([20.0, 100.0, 120.0].map(note), [None, None, None]);
+        assert!(note(160.0).unwrap().contains("px more than clinical.optics.residual_distortion"));
+        let fisheye = Camera { fisheye: Some([0.0; 4]), ..Camera::pinhole(64, 64, 2.9) };
+        assert_eq!(lens_note(&fisheye, &ClinicalSettings::default()), None);
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub struct FrameConditions {
 /// What is read from a frame's pictures.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PictureShares {
-    /// Pixels with a channel at its highest code, %.
+    /// Pixels with a channel at code 253 or above, %.
     pub clipped_pct: f64,
     /// Of the wall, what drops hide, %.
     pub covered_pct: f64,
