@@ -6,6 +6,8 @@
 //!
 //! [`chest_air`] has the airways, too, which a registration needs in both scans of a pair.
 
+use glam::DVec3;
+
 use super::parts::{VoxelContact, closed, fill_holes, grown, mask_of, parts, reached};
 use crate::base::{Error, Result, Volume};
 
@@ -20,6 +22,9 @@ const LEAST_AIRWAY_ML: f64 = 10.0;
 /// The ball in mm that closes the lungs over their vessels, and the airway's wall in mm.
 const CLOSING_MM: f64 = 6.0;
 const WALL_MM: f64 = 2.0;
+/// Furthest in mm that breathing moves the middle of the lungs, generously: their base moves so far, and their apex does
+/// not.
+const MIDDLE_MOVES_MM: f64 = 60.0;
 
 /// Finds the lungs in `scan`; `airway`, on any grid, is no part of them. Without it, they have what hangs together with
 /// them of the airways.
@@ -135,10 +140,33 @@ pub fn check_pair(full: f64, empty: f64) -> Result<f64> {
     Ok(ratio)
 }
 
+/// Refuses a pair whose lungs lie so far apart that no breath is the reason: a registration would look for minutes and not
+/// find them.
+pub fn check_place(full: &Volume<u8>, empty: &Volume<u8>) -> Result<()> {
+    let away = middle(empty) - middle(full);
+    if away.length() <= MIDDLE_MOVES_MM {
+        return Ok(());
+    }
+    Err(Error::input(format!(
+        "the lungs lie {:.0} mm from those of the first scan ({:.0} {:.0} {:.0}: left, back, head), and breathing moves \
+         their middle by {MIDDLE_MOVES_MM} mm at most: the patient or the table was moved between the scans, or one of the \
+         headers does not say where its scan lies",
+        away.length(),
+        away.x,
+        away.y,
+        away.z
+    )))
+}
+
+/// The middle of a mask that has a voxel.
+fn middle(mask: &Volume<u8>) -> DVec3 {
+    let places = (0..mask.data.len()).filter(|&at| mask.data[at] > 0).map(|at| mask.grid.centre(at));
+    let (sum, count) = places.fold((DVec3::ZERO, 0), |(sum, count), place| (sum + place, count + 1));
+    sum / f64::from(count.max(1))
+}
+
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
     use super::*;
     use crate::base::VoxelGrid;
 
@@ -163,6 +191,12 @@ mod tests {
         let ratio = check_pair(litres(&full), litres(&empty)).unwrap();
         assert!((ratio - (48f64 / 55.0).powi(3)).abs() < 0.05, "{ratio}");
         assert!(check_pair(litres(&empty), litres(&full)).unwrap_err().to_string().contains("exchange the two"));
+        // On a table that was moved.
+        check_place(&full, &empty).unwrap();
+        let mut moved = empty.clone();
+        moved.grid.origin_mm += DVec3::new(0.0, 8.0, -100.0);
+        let said = check_place(&full, &moved).unwrap_err().to_string();
+        assert!(said.contains("lie 100 mm from") && said.contains("0 8 -100: left, back, head"), "{said}");
         // A table below the back, a mattress between the two: foam in a shell that is closed at its ends.
         let mut table = chest(55.0);
         for at in 0..table.data.len() {

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::airway_mask::{AirwayMask, read_mask};
 use super::lumen::{DistanceSpread, LumenSurface, distances_from_mask, surface_of_mask};
-use super::lungs::{check_pair, find_lungs, litres, on_grid};
+use super::lungs::{check_pair, check_place, find_lungs, litres, on_grid};
 use super::motion_field::{VolumeChange, carried, check_field, check_motion, inverse_consistency, volume_change};
 use super::region::grow_airway;
 use super::registration::{
@@ -155,8 +155,10 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     let mut facts = Facts::new();
     let (surface, full, full_l) = inspiration_of(request, given.as_ref(), &mut facts, progress)?;
     progress.proceed()?;
-    let empty =
-        request.expiration.map(|path| expiration_of(request, path, full_l, &mut facts, progress)).transpose()?;
+    let empty = request
+        .expiration
+        .map(|path| expiration_of(request, path, (&full.lungs, full_l), &mut facts, progress))
+        .transpose()?;
     progress.proceed()?;
     let (field, region) = match (given, &empty) {
         (Some((path, field)), _) => {
@@ -265,11 +267,11 @@ pub fn check_mask(mask: &Volume<u8>, scan: &Volume<i16>) -> Result<()> {
     Ok(())
 }
 
-/// What is registered of the scan at expiration, whose lungs must be the emptier ones.
+/// What is registered of the scan at expiration, whose lungs must be the emptier ones, and lie where the full ones do.
 fn expiration_of(
     request: &ScanRequest<'_>,
     path: &Path,
-    full_l: f64,
+    (full, full_l): (&Volume<u8>, f64),
     facts: &mut Facts,
     progress: &dyn Progress,
 ) -> Result<RegistrationInput> {
@@ -278,6 +280,9 @@ fn expiration_of(
     let empty = RegistrationInput::new(&coarse, &lungs, None);
     let empty_l = litres(&lungs);
     let ratio = check_pair(full_l, empty_l).map_err(|e| e.at(path))?;
+    if request.anatomy == ExpectedAnatomy::Human && request.field.is_none() {
+        check_place(full, &lungs).map_err(|e| e.at(path))?;
+    }
     facts.push(("lungs", format!("{full_l:.2} l at inspiration, {empty_l:.2} l at expiration, ratio {ratio:.2}")));
     Ok(empty)
 }
