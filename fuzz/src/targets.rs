@@ -21,7 +21,7 @@ use respire_bench::base::random::CounterRng;
 use respire_bench::base::{Camera, Image, Mask, Result, TriangleMesh, files, hash};
 use respire_bench::bench::claim::Claims;
 use respire_bench::bench::live_poses::LivePoses;
-use respire_bench::bench::store::{MARKER, ProductState, Store};
+use respire_bench::bench::store::{MARKER, ProductState, Scrutiny, Store};
 use respire_bench::bench::{Ablations, Profile, timing};
 use respire_bench::experiments::ct_loop::result::LoopResult;
 use respire_bench::experiments::ct_loop::tables;
@@ -413,7 +413,7 @@ fn marker(bytes: &[u8], scratch: &Scratch) {
     let folder = scratch.folder.join("claimed");
     std::fs::create_dir_all(folder.join(".claim")).expect("the scratch folder takes folders");
     scratch.write(&format!("claimed/{MARKER}"), bytes);
-    let state = Store::look(&scratch.folder).state("claimed", "key").unwrap();
+    let state = Store::look(&scratch.folder).state("claimed", "key", Scrutiny::Content).unwrap();
     assert!(state != ProductState::Whole && state != ProductState::Absent);
     scratch.write("claimed/.claim/holder.json", bytes);
     answer(Claims::default().ask(&folder, &[]));

@@ -291,7 +291,7 @@ fn grant(folder: &Path) -> Result<Option<Claim>> {
         }
     };
     let thread = std::thread::Builder::new().name("claim".into()).spawn(beat);
-    let thread = thread.map_err(|e| Error::io("starting the thread of", &claim, e))?;
+    let thread = thread.map_err(|e| Error::io("starting its thread", &claim, e))?;
     Ok(Some(Claim { folder: folder.to_path_buf(), holder, heart: Some((sender, thread)) }))
 }
 

@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::base::hash;
 use crate::ct::dicom_conversion::converter_version;
 use crate::ct::registration::elastix_version;
-pub use crate::ffi::system::report_file_size_limit;
+pub use crate::ffi::system::{hang_up_is_ignored, ignore_hang_up, report_file_size_limit};
 use crate::ffi::versions::{EMBREE_HEADER, embree_complaint, embree_runtime};
 use crate::ffi::{system, vision};
 use crate::render;

@@ -16,7 +16,7 @@ use super::claim::{self, Holder, lock};
 use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
 use super::stages::{Stages, caught};
-use super::store::{Finish, ProductState, Store, Work, cell_folder, film_folder};
+use super::store::{Finish, ProductState, Scrutiny, Store, Work, cell_folder, film_folder};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Progress, Result};
 use crate::report::run::RECONSTRUCT;
@@ -57,6 +57,9 @@ impl FinishedCell {
 
 /// How long to wait before another process' work is looked at again.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);
+
+/// Why a product is made again whose disk has failed, or that somebody changed.
+const DAMAGED: &str = "its files are not what they were when it was finished";
 
 /// What came of trying a piece of work: done, or another process has it.
 enum Tried<T> {
@@ -162,18 +165,23 @@ pub fn execute_at_once(
 /// Whether a case's film is in the cache, made by this program from this plan, and whole.
 pub fn is_filmed(plan: &Plan, store: &Store, case: &Planned) -> Result<bool> {
     let film = format!("{}/film", film_folder(plan, case)?);
-    Ok(store.state(&film, &plan.sequence_key(case)?)? == ProductState::Whole)
+    Ok(store.state(&film, &plan.sequence_key(case)?, Scrutiny::Listing)? == ProductState::Whole)
 }
 
 /// Whether a cell's prediction and score are in the cache, made by this program from this plan, and whole; its film is
 /// another question ([`is_filmed`]).
 pub fn is_finished(plan: &Plan, store: &Store, cell: &Cell) -> Result<bool> {
     for (product, key) in cell_products(plan, cell)? {
-        if store.state(&product, &key)? != ProductState::Whole {
+        if store.state(&product, &key, scrutiny_of(&product))? != ProductState::Whole {
             return Ok(false);
         }
     }
     Ok(true)
+}
+
+/// A score is read by nobody who would notice, and is small; what becomes of other damage says who stumbles over it.
+fn scrutiny_of(product: &str) -> Scrutiny {
+    if product.ends_with("/score") { Scrutiny::Content } else { Scrutiny::Listing }
 }
 
 /// Prediction and score of a cell: where they lie in the cache, and their keys.
@@ -257,17 +265,39 @@ impl<'a> Execution<'a> {
         self.plan.cases.iter().flat_map(of_case).collect()
     }
 
+    /// Film and cell. The outer error stops the run, the inner one is the cell's.
+    fn attempt(&self, case: &Planned, cell: &Cell, progress: &dyn Progress) -> Result<Tried<Result<()>>> {
+        Ok(match self.filmed(case)? {
+            Tried::Held(holder) => Tried::Held(holder),
+            Tried::Done(Err(error)) => Tried::Done(Err(error)),
+            Tried::Done(Ok(())) => match self.cell(case, cell, progress) {
+                Ok(Tried::Held(holder)) => Tried::Held(holder),
+                outcome => Tried::Done(outcome.map(|_| ())),
+            },
+        })
+    }
+
+    /// Whether `error` is that of a product which was damaged since it was made, and which is removed now.
+    fn is_mended(&self, case: &Planned, error: &Error) -> Result<bool> {
+        let Some(path) = error.path() else { return Ok(false) };
+        let Some(place) = self.store.discard_damaged(path)? else { return Ok(false) };
+        self.watcher.event(&Event::Discarded { path: &place, reason: DAMAGED });
+        lock(&self.films).remove(&case.id);
+        Ok(true)
+    }
+
     /// Runs a cell, its film first. An error stops the run.
     fn tried(&self, case: &Planned, cell: &Cell, progress: &dyn Progress) -> Result<Tried<FinishedCell>> {
-        let outcome = match self.filmed(case)? {
+        let mut outcome = self.attempt(case, cell, progress)?;
+        if let Tried::Done(Err(error)) = &outcome
+            && self.is_mended(case, error)?
+        {
+            outcome = self.attempt(case, cell, progress)?;
+        }
+        let failure = match outcome {
             Tried::Held(holder) => return Ok(Tried::Held(holder)),
-            Tried::Done(Err(error)) => Err(error),
-            Tried::Done(Ok(())) => match self.cell(case, cell, progress) {
-                Ok(Tried::Held(holder)) => return Ok(Tried::Held(holder)),
-                outcome => outcome.map(|_| ()),
-            },
+            Tried::Done(outcome) => outcome.err(),
         };
-        let failure = outcome.err();
         if let Some(error) = &failure {
             if self.stops_the_run(error) {
                 return Err(error.clone());
@@ -423,7 +453,7 @@ impl<'a> Execution<'a> {
     /// Whether all products of a piece of work are there, from the same keys, and whole, and may be used.
     fn is_done(&self, work: &str, products: &[(String, String)]) -> Result<bool> {
         for (product, key) in products {
-            if !self.may_use(product) || self.store.state(product, key)? != ProductState::Whole {
+            if !self.may_use(product) || self.store.state(product, key, scrutiny_of(product))? != ProductState::Whole {
                 return Ok(false);
             }
         }
@@ -437,14 +467,15 @@ impl<'a> Execution<'a> {
         self.store.finish(product).is_some_and(|finish| before.get(product) != Some(&finish))
     }
 
-    /// True when the product of claimed work is finished, from the same key, and whole. Otherwise it is removed.
+    /// True when the product of claimed work is finished, from the same key, and whole: more is made of it. Otherwise it is
+    /// removed.
     fn usable(&self, (product, key): &(String, String), work: &Work) -> Result<bool> {
-        let reason = match self.store.state(product, key)? {
+        let reason = match self.store.state(product, key, Scrutiny::Content)? {
             ProductState::Absent => return Ok(false),
             ProductState::Whole if self.may_use(product) => return Ok(true),
             ProductState::Whole => None,
             ProductState::Outdated => Some("it was made by another version of the program or from other input"),
-            ProductState::Damaged => Some("its files are not what they were when it was finished"),
+            ProductState::Damaged => Some(DAMAGED),
         };
         let path = self.store.path(product);
         if let Some(reason) = reason {

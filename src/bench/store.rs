@@ -10,6 +10,7 @@
 //! it. A product is made under a hidden name, gets its finish marker `.finished.json` (key and hash), and is renamed into
 //! place: readers see a whole product or none.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -48,6 +49,15 @@ pub enum ProductState {
     Outdated,
     /// Finished, but its files are not what they were.
     Damaged,
+}
+
+/// How closely a product's files are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scrutiny {
+    /// By names, sizes and times of change, and read only where these differ: enough for who finds out by reading them.
+    Listing,
+    /// All are read: a failing disk changes neither size nor time.
+    Content,
 }
 
 /// A piece of work that this process has claimed.
@@ -108,7 +118,7 @@ impl Work {
         }
         let moved = match fs::rename(&own, &place) {
             // Another process took this one for dead and has finished.
-            Err(e) if claim::is_occupied(&e) && state_of(&place, key)? == ProductState::Whole => {
+            Err(e) if claim::is_occupied(&e) && state_of(&place, key, Scrutiny::Content)? == ProductState::Whole => {
                 return claim::remove_folder(&own);
             }
             Err(e) if claim::is_occupied(&e) => {
@@ -176,8 +186,27 @@ impl Store {
     /// Checks a product against its key and, when the key fits, its files.
     ///
     /// Errors: files that are there and cannot be read.
-    pub fn state(&self, product: &str, key: &str) -> Result<ProductState> {
-        state_of(&self.path(product), key)
+    pub fn state(&self, product: &str, key: &str, scrutiny: Scrutiny) -> Result<ProductState> {
+        state_of(&self.path(product), key, scrutiny)
+    }
+
+    /// Removes the product in which `path` lies, for whoever could not use that file, if its files are not those that were
+    /// finished. Gives the product's folder; `None` where it is whole, another process works on it, or nothing can be
+    /// read there at the moment.
+    ///
+    /// Errors: a folder that cannot be removed.
+    pub fn discard_damaged(&self, path: &Path) -> Result<Option<PathBuf>> {
+        let names: Vec<&str> = path.strip_prefix(&self.root).into_iter().flatten().filter_map(OsStr::to_str).collect();
+        let [kind, work, product, ..] = names[..] else { return Ok(None) };
+        let (work, place) = (format!("{kind}/{work}"), self.root.join(kind).join(work).join(product));
+        let Ok(marker) = files::read_json::<FinishMarker>(&place.join(MARKER)) else { return Ok(None) };
+        if hash_of_files(&place).map_or(true, |found| found == marker.outputs) {
+            return Ok(None);
+        }
+        let Ok(claimed) = self.claim(&work, &[])? else { return Ok(None) };
+        claimed.discard(product)?;
+        claimed.release()?;
+        Ok(Some(place))
     }
 
     /// Which finish of a product this is: another one after it was made again, whatever any clock says. `None` where it
@@ -214,7 +243,7 @@ impl Store {
 }
 
 /// Errors: a marker or a file that is there and cannot be read: what a bad moment of the disk hides is not damaged.
-fn state_of(place: &Path, key: &str) -> Result<ProductState> {
+fn state_of(place: &Path, key: &str, scrutiny: Scrutiny) -> Result<ProductState> {
     let path = place.join(MARKER);
     let text = match fs::read(&path) {
         Err(_) if !path.exists() => {
@@ -229,8 +258,10 @@ fn state_of(place: &Path, key: &str) -> Result<ProductState> {
         return Ok(ProductState::Outdated);
     }
     // Copied files have other times, and are read.
-    let is_whole = hash_of_listing(place)
-        .and_then(|listing| Ok(listing == marker.listing || hash_of_files(place)? == marker.outputs));
+    let is_whole = hash_of_listing(place).and_then(|listing| {
+        let is_taken = scrutiny == Scrutiny::Listing && listing == marker.listing;
+        Ok(is_taken || hash_of_files(place)? == marker.outputs)
+    });
     match is_whole {
         Ok(true) => Ok(ProductState::Whole),
         Ok(false) => Ok(ProductState::Damaged),
@@ -246,7 +277,9 @@ pub fn hash_of_files(path: &Path) -> Result<String> {
         return hash::of_file(path);
     }
     let found = list_files(path)?;
-    let hashes: Vec<String> = found.par_iter().map(|file| hash::of_file(file)).collect::<Result<_>>()?;
+    // A pipe would never end.
+    let hash_of = |file: &PathBuf| if file.is_file() { hash::of_file(file) } else { Ok("no file".to_owned()) };
+    let hashes: Vec<String> = found.par_iter().map(hash_of).collect::<Result<_>>()?;
     hash::of_value(&names(path, &found).zip(hashes).collect::<Vec<_>>())
 }
 
@@ -318,7 +351,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::look(folder.path());
         let work = claimed(&store, "cells/a");
-        let state = |key: &str| Store::look(folder.path()).state("cells/a/score", key).unwrap();
+        let state = |key: &str| Store::look(folder.path()).state("cells/a/score", key, Scrutiny::Listing).unwrap();
         let _ = work.begin("score").unwrap();
         assert_eq!(state("key"), ProductState::Absent, "what is being made is not there");
         make(&work, "score", "key");
@@ -335,6 +368,20 @@ mod tests {
         fs::write(file("z.png"), "").unwrap();
         assert_eq!(state("key"), ProductState::Damaged);
         fs::remove_file(file("z.png")).unwrap();
+        // What a failing disk leaves is noticed by whoever reads it, and cleared away then.
+        let work = claimed(&store, "cells/b");
+        make(&work, "score", "key");
+        work.release().unwrap();
+        let (rotten, store) = (store.path("cells/b/score/x.png"), Store::look(folder.path()));
+        assert_eq!(store.discard_damaged(&rotten).unwrap(), None, "it is whole");
+        let written = rotten.metadata().unwrap().modified().unwrap();
+        fs::write(&rotten, "7").unwrap();
+        File::open(&rotten).unwrap().set_modified(written).unwrap();
+        let states = [Scrutiny::Listing, Scrutiny::Content].map(|by| store.state("cells/b/score", "key", by).unwrap());
+        assert_eq!(states, [ProductState::Whole, ProductState::Damaged]);
+        assert_eq!(store.discard_damaged(&folder.path().join("cells/b")).unwrap(), None, "no product");
+        assert_eq!(store.discard_damaged(&rotten).unwrap(), Some(store.path("cells/b/score")));
+        assert_eq!(store.state("cells/b/score", "key", Scrutiny::Listing).unwrap(), ProductState::Absent);
         assert_eq!(state("key"), ProductState::Whole);
         fs::write(file(MARKER), "{").unwrap();
         assert_eq!(state("key"), ProductState::Damaged, "nothing without a marker is taken for whole");
@@ -359,7 +406,7 @@ mod tests {
         work.release().unwrap();
         let left = claim::unfinished(&store.path("sequences/a")).unwrap();
         assert!(left.is_empty(), "{left:?}");
-        assert_eq!(store.state("sequences/a/film", "key").unwrap(), ProductState::Whole);
+        assert_eq!(store.state("sequences/a/film", "key", Scrutiny::Content).unwrap(), ProductState::Whole);
     }
 
     /// As when the disk of a process stood still for long, and another one has done its work.
@@ -374,7 +421,7 @@ mod tests {
         assert_eq!(fs::metadata(store.path("cells/a/score")).unwrap().modified().unwrap(), first);
         fs::remove_file(store.path("cells/a/score/x.png")).unwrap();
         make(&work, "score", "key");
-        assert_eq!(store.state("cells/a/score", "key").unwrap(), ProductState::Whole);
+        assert_eq!(store.state("cells/a/score", "key", Scrutiny::Listing).unwrap(), ProductState::Whole);
     }
 
     /// As when a process stood still for so long that another one took it for dead, then woke up and went on writing.
@@ -382,7 +429,8 @@ mod tests {
     fn what_was_taken_over_is_never_published() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::look(folder.path());
-        let absent = || assert_eq!(store.state("cells/a/score", "key").unwrap(), ProductState::Absent);
+        let absent =
+            || assert_eq!(store.state("cells/a/score", "key", Scrutiny::Listing).unwrap(), ProductState::Absent);
         // The other one has cleared away what was begun, and is still at work.
         let slept = claimed(&store, "cells/a");
         let making = slept.begin("score").unwrap();
@@ -400,14 +448,17 @@ mod tests {
         absent();
         let work = claimed(&store, "cells/a");
         make(&work, "score", "key");
-        assert_eq!(store.state("cells/a/score", "key").unwrap(), ProductState::Whole);
+        assert_eq!(store.state("cells/a/score", "key", Scrutiny::Listing).unwrap(), ProductState::Whole);
     }
 
     #[test]
     fn looking_touches_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let absent = folder.path().join("nowhere");
-        assert_eq!(Store::look(&absent).state("cells/a/score", "key").unwrap(), ProductState::Absent);
+        assert_eq!(
+            Store::look(&absent).state("cells/a/score", "key", Scrutiny::Listing).unwrap(),
+            ProductState::Absent
+        );
         assert!(!absent.exists());
     }
 }

@@ -122,7 +122,8 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
         if arguments.cells_only {
             terminal.finish();
         } else {
-            report(&folder, run, &finished, reports.as_mut(), terminal)?;
+            let of_cache = |e: Error| unless_damaged(&Store::look(arguments.cache.path()), e);
+            report(&folder, run, &finished, reports.as_mut(), terminal).or_else(of_cache)?;
             // The report is there, and so will be that of the next track: not every file system has links.
             point_latest(&arguments.out, &name).unwrap_or_else(|error| terminal.note(&error.to_string()));
         }
@@ -135,6 +136,18 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
     }
     let sentence = format!("{} of {cells} cells failed: {}", failed.len(), failed.join(", "));
     Err(Error::new(ErrorKind::CellFailed, sentence))
+}
+
+/// What keeps a report from being written: what it says, or a product of the cache that was damaged since it was made,
+/// which is removed so that the next run makes it again.
+fn unless_damaged(store: &Store, error: Error) -> Result<()> {
+    match error.path().map(|path| store.discard_damaged(path)).transpose()?.flatten() {
+        Some(place) => {
+            let sentence = "was damaged in the cache and is removed now: the same command makes it again";
+            Err(Error::input(sentence).at(place))
+        }
+        None => Err(error),
+    }
 }
 
 /// Writes the report of a run into `folder`, or into its own folder there, and prints its table. Two runs of one plan write

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::Terminal;
-use crate::base::Result;
+use crate::base::{ErrorKind, Result};
 use crate::bench::evaluation::check_name;
 use crate::score::{Question, check_prediction, check_truth};
 use crate::simulate::participant::{Given, Participant};
@@ -23,13 +23,24 @@ pub struct CheckArguments {
     /// The sequence that the predictions are of; a participant's folder will do
     #[arg(long, visible_alias = "truth", value_name = "DIR")]
     sequence: Option<PathBuf>,
-    /// Write JSON
+    /// Write JSON: what is there and the warnings, or `error` and `path`
     #[arg(long)]
     json: bool,
 }
 
-/// Reads every file; says what is there, or fails with the first thing that is wrong.
+/// Reads every file; says what is there, or fails with the first thing that is wrong, as JSON too where that is wanted.
 pub fn run(arguments: CheckArguments, terminal: &Terminal) -> Result<()> {
+    let checked = checked(&arguments, terminal);
+    match &checked {
+        Err(error) if arguments.json && error.kind() == ErrorKind::InputOutput => {
+            terminal.json(&serde_json::json!({ "error": error.to_string(), "path": error.path() }))?;
+        }
+        _ => {}
+    }
+    checked
+}
+
+fn checked(arguments: &CheckArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("reading every file");
     let Some(sequence) = &arguments.sequence else {
         let (what, frames) = if Participant::is_at(&arguments.folder) {

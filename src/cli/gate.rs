@@ -106,7 +106,7 @@ fn chosen<'a>(results: &Results, folders: &'a [PathBuf]) -> Result<Option<(Resul
     let mut first = None;
     for folder in folders {
         let baseline = read::read(folder)?;
-        if results.other_films(&baseline).is_empty() {
+        if results.is_of_films_of(&baseline) {
             return Ok(Some((baseline, folder)));
         }
         first = first.or(Some((baseline, folder.as_path())));

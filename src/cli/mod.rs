@@ -43,6 +43,7 @@ mod terminal;
 mod track;
 mod watch;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -163,8 +164,12 @@ pub fn main() -> ExitCode {
         Ok(line) => line,
         Err(refused) => {
             // Help and version are not errors; neither is a reader that has gone away.
-            let _ = refused.print();
-            return ExitCode::from(refused.exit_code() as u8);
+            return match refused.print() {
+                Err(e) if !refused.use_stderr() && e.kind() != std::io::ErrorKind::BrokenPipe => {
+                    refuse(&Error::io("writing", Path::new("standard output"), e))
+                }
+                _ => ExitCode::from(refused.exit_code() as u8),
+            };
         }
     };
     if line.yes {

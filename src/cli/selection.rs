@@ -190,6 +190,11 @@ impl Selection {
         Ok(words)
     }
 
+    /// Whether cases were chosen, and not left to the profile.
+    pub fn has_cases(&self) -> bool {
+        !self.cases.is_empty()
+    }
+
     /// The words of a command line that chooses the same methods and seeds.
     pub fn row_words(&self) -> Vec<String> {
         let mut words = Vec::new();

@@ -83,7 +83,13 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
     let on_track = |track: &str| ["--track", track].map(str::to_owned).to_vec();
     let of_case = |wish: &String| vec!["--cases".to_owned(), wish.clone()];
     let all_tracks = if let [track] = tracks[..] { track.word() } else { "both" };
-    let everything = [on_track(all_tracks), of_case(&wishes.join(",")), rows.clone()].concat();
+    if let Some(wish) = wishes.iter().find(|wish| wish.contains(',')) {
+        let sentence = "a case file with a comma in its path would be two on the command line of a task: rename it";
+        return Err(Error::usage(sentence).at(wish));
+    }
+    // The profile has its list, and that of a large plan is longer than a command line may be.
+    let chosen = if arguments.selection.has_cases() { &wishes[..] } else { &[] };
+    let everything = [on_track(all_tracks), chosen.iter().flat_map(of_case).collect(), rows.clone()].concat();
     terminal.stage("looking for what is finished");
     let store = Store::look(arguments.cache.path());
     let measured = timing::measured_costs(store.root());

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::base::{Error, ErrorKind, Estimate, Progress, Result};
+use crate::bench::environment::{hang_up_is_ignored, ignore_hang_up};
 
 /// Least time between two progress lines of a stage when there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
@@ -57,6 +58,7 @@ impl Terminal {
     pub fn new() -> Result<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
         let token = Arc::clone(&interrupted);
+        let goes_on = hang_up_is_ignored();
         ctrlc::set_handler(move || {
             if token.swap(true, Ordering::SeqCst) {
                 // Files are written atomically; a folder that was not finished is removed by the next run.
@@ -65,6 +67,10 @@ impl Terminal {
             complain("stopping at the next safe point; press Ctrl-C again to stop at once");
         })
         .map_err(|e| Error::new(ErrorKind::Environment, format!("cannot take over Ctrl-C: {e}")))?;
+        // The handler is for hang-ups, too; a run under nohup outlives its terminal.
+        if goes_on {
+            ignore_hang_up();
+        }
         Ok(Terminal {
             interrupted,
             watched: std::io::stderr().is_terminal(),

@@ -39,6 +39,22 @@ pub fn report_file_size_limit() {
     unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
 }
 
+/// Whether whoever started this process had it ignore that its terminal hangs up, as `nohup` does.
+pub fn hang_up_is_ignored() -> bool {
+    // SAFETY: `sigaction` is plain numbers and a null handler, for which all-zero bytes are a value; without a new action
+    // the call only writes the present one into memory that is ours.
+    unsafe {
+        let mut present: libc::sigaction = std::mem::zeroed();
+        libc::sigaction(libc::SIGHUP, std::ptr::null(), &mut present) == 0 && present.sa_sigaction == libc::SIG_IGN
+    }
+}
+
+/// Ignores it, whatever was to be done before.
+pub fn ignore_hang_up() {
+    // SAFETY: no handler is installed that could run at a bad time: the signal is ignored.
+    unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
+}
+
 /// Resizes a table to `n` entries, on huge pages where it grows large: the first touch of 10 MB in small pages takes as
 /// long as a rendering.
 pub fn grow<T: Clone + Default>(table: &mut Vec<T>, n: usize) {

@@ -266,12 +266,19 @@ fn wanted_cases<'a>(results: &'a Results, thresholds: &'a Thresholds) -> Vec<&'a
     if thresholds.cases.is_empty() { results.cases() } else { thresholds.cases.iter().map(String::as_str).collect() }
 }
 
-/// What no table that this program wrote has: a value out of its metric's range, a case whose rows are of several films or
-/// of an unknown one.
+/// What no table that this program wrote has: a value out of its metric's range, a status without meaning or one that says
+/// that there is no value beside it, a case whose rows are of several films or of an unknown one.
 fn soundness(results: &Results) -> Vec<Check> {
     let broken = |(key, entry): (&Key, &ResultEntry)| {
-        let sentence = unfit(metric(&key.metric)?, entry.value?)?;
-        Some(check((&key.case, &key.method, &key.metric), Verdict::Fail, sentence))
+        let m = metric(&key.metric)?;
+        let sentence = match (Status::of_word(&entry.status), entry.value) {
+            (None, _) => Some(format!("`{}` is no status", entry.status)),
+            (Some(Status::NotApplicable | Status::Failed), Some(_)) => {
+                Some(format!("a value is there, and the status says `{}`", entry.status))
+            }
+            (_, value) => value.and_then(|value| unfit(m, value)),
+        };
+        Some(check((&key.case, &key.method, &key.metric), Verdict::Fail, sentence?))
     };
     let film = |(case, facts): (&String, &CaseFacts)| {
         let sentence = match facts.film_contents.len() {
@@ -370,6 +377,11 @@ fn shown_value(m: &Metric, entry: &ResultEntry) -> Value {
     }
 }
 
+/// A value with the metric's unit, where it has one.
+fn with_unit(m: &Metric, value: f64) -> String {
+    format!("{} {}", m.format(value), m.unit).trim_end().to_owned()
+}
+
 fn absolute(m: &Metric, limit: &Absolute, case: &str, value: Value) -> Check {
     let key = (case, limit.method.as_str(), m.id);
     let bound = if m.direction.word() == "higher" { "at least" } else { "at most" };
@@ -383,7 +395,7 @@ fn absolute(m: &Metric, limit: &Absolute, case: &str, value: Value) -> Check {
             // NaN fails: the question is whether the loss is shown to be no more than 0.
             let good = m.direction.loss(v, limit.limit) <= 0.0;
             let verdict = if good { Verdict::Pass } else { or_note(limit.advisory) };
-            check(key, verdict, format!("{} {}; {bound} {} is wanted", m.format(v), m.unit, limit.limit))
+            check(key, verdict, format!("{}; {bound} {} is wanted", with_unit(m, v), limit.limit))
         }
     }
 }
@@ -447,12 +459,7 @@ fn relative(m: &Metric, limit: &Relative, key: &Key, old: &ResultEntry, new: Opt
                 0.0 => "equal".to_owned(),
                 _ => format!("{} by {:.4}", if loss > 0.0 { "worse" } else { "better" }, loss.abs()),
             };
-            let sentence = format!(
-                "{} {unit}, baseline {}: {change}, allowed {allowed:.4}",
-                m.format(new),
-                m.format(old),
-                unit = m.unit
-            );
+            let sentence = format!("{}, baseline {}: {change}, allowed {allowed:.4}", with_unit(m, new), m.format(old));
             check(place, verdict, sentence)
         }
     }

@@ -167,6 +167,35 @@ fn what_is_missing_fails_and_what_is_new_is_noted() {
         let failed = verdict(&results);
         assert!(failed.len() == 1 && failed[0].contains(words), "{failed:?}");
     }
+    // A baseline is of the same films, which are known, and of the same track.
+    assert!(good.is_of_films_of(&good));
+    let altered = |change: &dyn Fn(&mut Results)| {
+        let mut other = good.clone();
+        change(&mut other);
+        other
+    };
+    for other in [
+        altered(&|r| r.facts.get_mut("case1").unwrap().film_contents = [String::new()].into()),
+        altered(&|r| r.facts.get_mut("case1").unwrap().film_contents = ["other".to_owned()].into()),
+        altered(&|r| r.facts = [("case7".to_owned(), r.facts["case1"].clone())].into()),
+        altered(&|r| r.track = Track::Clinical),
+    ] {
+        assert!(!good.is_of_films_of(&other) && !other.is_of_films_of(&good));
+    }
+    // Words that this program writes nowhere.
+    for (status, words) in [("bogus", "`bogus` is no status"), ("not_applicable", "the status says `not_applicable`")] {
+        let mut results = good.clone();
+        results.entries.values_mut().find(|entry| entry.value.is_some()).unwrap().status = status.into();
+        let failed = verdict(&results);
+        assert!(failed.iter().any(|f| f.contains(words)), "{failed:?}");
+    }
+    // The table of times speaks of the same cells.
+    let path = folder.path().join("results.csv");
+    let all = fs::read_to_string(&path).unwrap();
+    let left: Vec<&str> = all.lines().filter(|line| !line.contains(",static-ct,")).collect();
+    fs::write(&path, left.join("\n") + "\n").unwrap();
+    let said = read(folder.path()).unwrap_err().to_string();
+    assert!(said.contains("comparison.csv") && said.contains("has no row of this case, method and seed"), "{said}");
     // A renamed definition is not compared.
     let mut renamed = good.clone();
     for (_, entry) in renamed.entries.iter_mut().filter(|(k, _)| k.metric == "psnr_db") {
@@ -192,6 +221,9 @@ fn verdicts_become_files() {
     gate_files::write_junit(&checks, &path).unwrap();
     let xml = fs::read_to_string(&path).unwrap();
     assert!(xml.contains("failures=\"2\"") && xml.contains("classname=\"case1\"") && xml.contains("at least 25"));
+    // Jenkins' schema knows it in a suite and not above.
+    let (root, suites) = xml.split_once("<testsuite ").unwrap();
+    assert!(root.contains("<testsuites ") && !root.contains("skipped") && suites.contains("skipped=\"0\""), "{root}");
     let markdown = gate_files::markdown(&checks);
     assert!(markdown.starts_with("# Gate: FAILED"));
     assert!(gate_files::markdown(&judge(&good, &thresholds(), Some(&good))).starts_with("# Gate: passed"));

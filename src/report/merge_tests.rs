@@ -349,6 +349,28 @@ fn a_table_that_does_not_fit_is_refused_by_line_and_column() {
     }
     fs::write(&path, good.lines().next().unwrap()).unwrap();
     assert!(read_run(&place).err().unwrap().to_string().contains("has no rows"));
+    // Counts count, and the other tables speak of the same cells.
+    fs::write(&path, &good).unwrap();
+    for (name, column, value, words) in [
+        ("results.csv", "n", "2.5", "column n: 2.5 is no whole number"),
+        ("results.csv", "n", "-5", "column n: -5 must lie in 0"),
+        ("comparison.csv", "seed", "99", "results.csv has no row of this case, method and seed"),
+        ("comparison.csv", "frames", "nan", "column frames"),
+        ("timings.csv", "wall_s", "-3", "column wall_s: -3 must lie in 0"),
+        ("timings.csv", "threads", "1e300", "column threads"),
+    ] {
+        let file = place.join(name);
+        let sound = fs::read_to_string(&file).unwrap();
+        let mut lines: Vec<String> = sound.lines().map(str::to_owned).collect();
+        let at = lines[0].split(',').position(|head| head == column).unwrap();
+        let mut cells: Vec<&str> = lines[1].split(',').collect();
+        cells[at] = value;
+        lines[1] = cells.join(",");
+        fs::write(&file, lines.join("\n") + "\n").unwrap();
+        let refused = read_run(&place).err().unwrap().to_string();
+        assert!(refused.contains(words) && refused.contains(name), "{refused}");
+        fs::write(&file, &sound).unwrap();
+    }
 }
 
 /// One ranking over cases and seeds: a row that lacks a value of a case has no place, whatever its mean; and what

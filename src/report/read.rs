@@ -114,7 +114,12 @@ pub fn read(folder: &Path) -> Result<Results> {
     }
     let path = folder.join("comparison.csv");
     if path.exists() {
+        let cell = |key: &Key| (key.case.clone(), key.method.clone(), key.seed);
+        let known: BTreeSet<(String, String, u64)> = results.entries.keys().map(cell).collect();
         for row in CsvTable::read(&path)?.rows() {
+            if !known.contains(&cell(&row.key("method", String::new())?)) {
+                return Err(row.refuse("method", no_such_row()));
+            }
             for m in registry().iter().filter(|m| m.is_runtime()) {
                 let value = row.seconds(m.id)?;
                 let status = if value.is_some() { Status::Ok } else { Status::NotApplicable };
@@ -134,6 +139,11 @@ pub fn read(folder: &Path) -> Result<Results> {
     results.profile = StatedFacts::read(folder)?.profile;
     seal::check(folder)?;
     Ok(results)
+}
+
+/// What is said of a row of another table whose cell `results.csv` does not have.
+pub(super) fn no_such_row() -> String {
+    format!("{RESULTS} has no row of this case, method and seed")
 }
 
 /// What is wrong with a value that the metric cannot have; none for a sound one.
@@ -187,6 +197,16 @@ impl Results {
     /// Cases that both have and that were filmed otherwise there, as far as all rows tell.
     pub fn other_films(&self, other: &Results) -> Vec<&str> {
         self.facts.keys().map(String::as_str).filter(|case| self.has_other_film(other, case)).collect()
+    }
+
+    /// Whether both are of one track and have cases in common, all of which are known to be the same films.
+    pub fn is_of_films_of(&self, other: &Results) -> bool {
+        let film = |results: &Results, case: &String| {
+            results.facts.get(case).and_then(|facts| facts.film().map(str::to_owned))
+        };
+        let mut common = self.facts.keys().filter(|case| other.facts.contains_key(*case)).peekable();
+        let is_same = |case: &String| film(self, case).is_some_and(|own| Some(own) == film(other, case));
+        self.track == other.track && common.peek().is_some() && common.all(is_same)
     }
 
     /// The tree of a case.

@@ -5,17 +5,20 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::gate::redefinition;
-use super::read::{CsvRow, CsvTable, LARGEST, distinct, unfit};
+use super::read::{CsvRow, CsvTable, LARGEST, distinct, no_such_row, unfit};
 use super::run::{CellRecord, Outcome, Run, StageCost, StatedFacts};
 use super::scene::Scenes;
 use super::{RESULTS, seal};
-use crate::base::range::{NumberRange, PREDICTED_PHASE, TIME_S};
+use crate::base::range::{NumberRange, PREDICTED_PHASE, THREADS, TIME_S};
 use crate::base::{Error, Result, case_id, files, method_name};
 use crate::score::{CellScore, FrameScore, FrameValue, Metric, MetricScore, Status, check_means, metric, registry};
 use crate::simulate::track::Track;
 
 /// Numbers of frames.
 const FRAME: NumberRange = NumberRange::new(0.0, 1e7);
+/// Numbers of what a mean was taken over, and of seconds and MiB that a stage took.
+const COUNT: NumberRange = NumberRange::new(0.0, 1e9);
+const COST: NumberRange = NumberRange::new(0.0, 1e9);
 
 /// Whether rows may lack what they are checked with: the report's manifest, and the frames from which its means follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +58,7 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     let Some(first) = cells.list.first() else { return Err(Error::input("has no rows").at(results)) };
     let (id, is_evaluated) = (first.run_id.clone(), first.is_evaluated());
     for row in CsvTable::read(&folder.join("comparison.csv"))?.rows() {
-        let cell = cells.of_row(&row, "method")?;
+        let cell = cells.known(&row, "method")?;
         if let Outcome::Scored(score) = &mut cell.outcome {
             add_times(score, &row)?;
         }
@@ -187,7 +190,7 @@ fn add_value(
         value,
         status,
         deviation,
-        count: row.number("n")?.unwrap_or(0.0) as usize,
+        count: whole(row, "n", COUNT)?,
         interval: low.zip(high).map(|(low, high)| [low, high]),
         detail: plain(row.text("detail")?),
     });
@@ -252,6 +255,16 @@ impl Cells {
         });
         Ok(&mut list[at])
     }
+
+    /// The cell of a row of another table. Refuses one that `results.csv` does not have.
+    fn known(&mut self, row: &CsvRow<'_>, method_column: &str) -> Result<&mut CellRecord> {
+        let before = self.list.len();
+        self.of_row(row, method_column)?;
+        if self.list.len() > before {
+            return Err(row.refuse("seed", no_such_row()));
+        }
+        self.of_row(row, method_column)
+    }
 }
 
 /// A cell of which nothing has been read yet.
@@ -279,7 +292,7 @@ fn empty_cell(case_id: &str, method: &str, seed: u64) -> CellRecord {
 
 /// Times and the number of frames stand in `comparison.csv` alone.
 fn add_times(score: &mut CellScore, row: &CsvRow<'_>) -> Result<()> {
-    score.frames = row.number("frames")?.unwrap_or(0.0) as usize;
+    score.frames = whole(row, "frames", FRAME)?;
     for m in registry().iter().filter(|m| m.is_runtime()) {
         let value = row.seconds(m.id)?;
         fits(row, m.id, m, value)?;
@@ -293,7 +306,7 @@ fn add_times(score: &mut CellScore, row: &CsvRow<'_>) -> Result<()> {
 }
 
 fn add_frame(cells: &mut Cells, row: &CsvRow<'_>) -> Result<()> {
-    let Outcome::Scored(score) = &mut cells.of_row(row, "config")?.outcome else { return Ok(()) };
+    let Outcome::Scored(score) = &mut cells.known(row, "config")?.outcome else { return Ok(()) };
     let number = |column: &str, range| in_range(row, column, range).map(|v| v.unwrap_or(f64::NAN));
     let frame = number("frame", FRAME)? as usize;
     let (time_s, phase) = (number("time_s", TIME_S)?, number("phase", PREDICTED_PHASE)?);
@@ -318,16 +331,16 @@ fn add_frame(cells: &mut Cells, row: &CsvRow<'_>) -> Result<()> {
 }
 
 fn add_timing(cells: &mut Cells, row: &CsvRow<'_>) -> Result<()> {
-    let number = |column: &str| row.number(column).map(|v| v.unwrap_or(0.0));
+    let number = |column: &str| in_range(row, column, COST).map(|v| v.unwrap_or(0.0));
     let cost = StageCost {
         stage: plain(row.text("stage")?),
         wall_s: number("wall_s")?,
         cpu_s: number("cpu_s")?,
         peak_memory_mib: number("peak_rss_mib")?,
-        threads: number("threads")? as usize,
+        threads: whole(row, "threads", THREADS)?,
         machine_id: plain(row.text("machine_id")?),
     };
-    cells.of_row(row, "config")?.timings.push(cost);
+    cells.known(row, "config")?.timings.push(cost);
     Ok(())
 }
 
@@ -341,6 +354,14 @@ fn in_range(row: &CsvRow<'_>, column: &str, range: NumberRange) -> Result<Option
     let value = row.number(column)?;
     value.map_or(Ok(()), |value| range.check(value)).map_err(|e| row.refuse(column, e.to_string()))?;
     Ok(value)
+}
+
+/// A number that counts; 0 where there is none.
+fn whole(row: &CsvRow<'_>, column: &str, range: NumberRange) -> Result<usize> {
+    match in_range(row, column, range)?.unwrap_or(0.0) {
+        count if count.fract() == 0.0 => Ok(count as usize),
+        part => Err(row.refuse(column, format!("{part} is no whole number"))),
+    }
 }
 
 /// Refuses a value that the metric cannot have.

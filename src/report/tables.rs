@@ -44,19 +44,8 @@ const FRAMES_COLUMNS: [&str; 12] =
     ["run_id", "case_id", "config", "seed", "frame", "file", "time_s", "phase", "split", "metric", "value", "status"];
 
 /// Columns of `timings.csv`.
-const TIMINGS_COLUMNS: [&str; 11] = [
-    "run_id",
-    "case_id",
-    "config",
-    "stage",
-    "wall_s",
-    "cpu_s",
-    "peak_rss_mib",
-    "threads",
-    "machine_id",
-    "instructions",
-    "seed",
-];
+const TIMINGS_COLUMNS: [&str; 10] =
+    ["run_id", "case_id", "config", "stage", "wall_s", "cpu_s", "peak_rss_mib", "threads", "machine_id", "seed"];
 
 /// A number as its shortest round-trip text; empty for none, NaN and infinity.
 pub fn number(value: Option<f64>) -> String {
@@ -198,7 +187,6 @@ pub fn write_timings(run: &Run, path: &Path) -> Result<()> {
                 number(Some(t.peak_memory_mib)),
                 t.threads.to_string(),
                 text(&t.machine_id),
-                String::new(),
                 cell.seed.to_string(),
             ]);
         }

@@ -143,6 +143,46 @@ fn the_same_bytes_on_one_thread_on_two_and_after_kills() {
     let err = killed.run(&[]);
     assert!(err.contains("film is cached") && err.contains("[1/3] case1-ours-s1: cached"), "{err}");
     assert!(killed.latest("results.csv") == results);
+
+    // A failing disk changes neither size nor time of a file. A score is read before it counts; a picture by the report,
+    // which stops, and the next run makes it again.
+    let rot = |name: &str| {
+        let mut found = BTreeMap::new();
+        collect(&killed.path("cache"), &killed.path("cache"), &mut found);
+        let (file, mut bytes) = found.into_iter().find(|(path, _)| path.to_string_lossy().contains(name)).unwrap();
+        let file = killed.path("cache").join(file);
+        let written = file.metadata().unwrap().modified().unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        fs::write(&file, bytes).unwrap();
+        fs::File::open(&file).unwrap().set_modified(written).unwrap();
+    };
+    rot("score/score.json");
+    let err = killed.run(&[]);
+    assert!(err.contains("its files are not what they were") && killed.latest("results.csv") == results, "{err}");
+    rot("film/images/000000.png");
+    let (code, _, err) = outcome(killed.command(&[]).output().unwrap());
+    assert!(code == 4 && err.contains("/film: was damaged in the cache and is removed now"), "{code} {err}");
+    let err = killed.run(&[]);
+    assert!(err.contains("[1/3] case1-ours-s1: cached") && killed.latest("results.csv") == results, "{err}");
+    assert_same(&killed.products(), &products);
+}
+
+/// Who starts a long run by `nohup` and logs out wants it to go on.
+#[test]
+fn a_run_under_nohup_outlives_its_terminal() {
+    let place = Place::new();
+    let real = place.command(&["--methods", "static-ct"]);
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(real.get_program()).args(real.get_args());
+    shell.envs(real.get_envs().filter_map(|(name, value)| Some((name, value?))));
+    let mut child = shell.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    while !place.path("cache").exists() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(Command::new("kill").arg("-HUP").arg(child.id().to_string()).status().unwrap().success());
+    assert!(child.wait().unwrap().success());
+    assert!(!place.latest("results.csv").is_empty());
 }
 
 fn assert_same(a: &BTreeMap<PathBuf, Vec<u8>>, b: &BTreeMap<PathBuf, Vec<u8>>) {
@@ -362,4 +402,12 @@ fn a_job_array_makes_both_tracks_as_the_main_job_does() {
         assert!(fs::read(place.path("array/latest").join(name)).unwrap() == place.latest(name), "{name}");
     }
     assert!(write_scripts().1.contains("every cell is finished"));
+
+    // A comma parts cases; and a profile's list, which may be longer than a command line, stays in the profile.
+    assert!(!fs::read_to_string(place.path("scripts/report.sh")).unwrap().contains("--cases"));
+    fs::create_dir(place.path("a,b")).unwrap();
+    let mut slurm = program();
+    slurm.args(["slurm", "--cases", "own.toml", "--scripts", "s", "--out", "o", "--cache", "c"]);
+    let (code, _, err) = outcome(slurm.current_dir(place.path("a,b")).output().unwrap());
+    assert!(code == 2 && err.contains("a,b/own.toml: a case file with a comma"), "{code} {err}");
 }

@@ -16,7 +16,7 @@ use respire_bench::airway::case_centerline;
 use respire_bench::airway::centerline::{Centerline, CenterlinePoint};
 use respire_bench::base::TriangleMesh;
 use respire_bench::base::files;
-use respire_bench::bench::store::{FinishMarker, MARKER, ProductState, Store};
+use respire_bench::bench::store::{FinishMarker, MARKER, ProductState, Scrutiny, Store};
 use respire_bench::formats::mesh;
 use respire_bench::simulate::sequence::{MANIFEST, Sequence};
 
@@ -184,7 +184,11 @@ fn assert_nothing_half_finished(cache: &Path, what: &str) {
     for path in published {
         let marker: FinishMarker = files::read_json(path).unwrap();
         let product = path.parent().unwrap().strip_prefix(cache).unwrap().to_str().unwrap();
-        assert_eq!(store.state(product, &marker.key).unwrap(), ProductState::Whole, "{what}: {product}");
+        assert_eq!(
+            store.state(product, &marker.key, Scrutiny::Content).unwrap(),
+            ProductState::Whole,
+            "{what}: {product}"
+        );
     }
     let Ok(films) = fs::read_dir(cache.join("sequences")) else { return };
     for film in films.map(|entry| entry.unwrap().path()).filter(|path| path.join("film").join(MANIFEST).exists()) {
