@@ -110,15 +110,15 @@ pub fn check_extent(points: impl Iterator<Item = DVec3>, source: FrameSource) ->
     Err(Error::input(format!("{sentence}: {}", scale_cure(extent, EXTENT_MM, source))))
 }
 
-/// Refuses places in lungs that span no human ones.
-pub fn check_lungs(places: impl IntoIterator<Item = DVec3>, anatomy: ExpectedAnatomy) -> Result<()> {
+/// Refuses places in lungs that span no human ones; `what` they are.
+pub fn check_lungs(what: &str, places: impl IntoIterator<Item = DVec3>, anatomy: ExpectedAnatomy) -> Result<()> {
     let extent = longest_side(places.into_iter());
     if anatomy == ExpectedAnatomy::Any || within(extent, LUNGS_MM) {
         return Ok(());
     }
     Err(Error::input(format!(
-        "the longest side of these lungs is {extent:.4}, and lungs measure {} to {} mm: mm (LPS) are wanted; an animal or a \
-         phantom is taken with --unusual",
+        "the longest side of these lungs is {extent:.4}, and lungs measure {} to {} mm: {what} are in mm (LPS); those of an \
+         animal or a phantom are taken with --unusual",
         LUNGS_MM[0], LUNGS_MM[1]
     )))
 }
@@ -126,7 +126,7 @@ pub fn check_lungs(places: impl IntoIterator<Item = DVec3>, anatomy: ExpectedAna
 /// Refuses a motion that no breathing is, and of humans landmarks of an impossible size. The element is the pair's number,
 /// from 1.
 pub fn check_landmarks(pairs: &[LandmarkPair], anatomy: ExpectedAnatomy) -> Result<()> {
-    check_lungs(pairs.iter().map(|pair| pair.inspiration_mm), anatomy)?;
+    check_lungs("landmarks", pairs.iter().map(|pair| pair.inspiration_mm), anatomy)?;
     let is_human = anatomy == ExpectedAnatomy::Human;
     let moves = |pair: &LandmarkPair| pair.motion_mm().length();
     if let Some(at) = pairs.iter().position(|pair| is_human && moves(pair) > FURTHEST_MM) {

@@ -17,6 +17,8 @@ use crate::formats;
 /// Largest factor on the volume of an airway from inspiration to expiration: it gets smaller, and what is registered badly may
 /// seem to grow a little.
 const MOST_LUMEN_GROWTH: f64 = 1.1;
+/// And what is left of it at least: lungs keep a quarter, and airways are stiffer.
+const LEAST_LUMEN_LEFT: f64 = 0.25;
 
 /// What a centreline takes for each voxel of the lumen, measured on a box of 14 million: 200 bytes, 8 microseconds.
 const VOXEL_BYTES: f64 = 200.0;
@@ -141,6 +143,12 @@ impl FileMeaning {
             return Err(Error::input(format!(
                 "the airway is {growth:.2} times as large at expiration as at inspiration: are the two swapped? \
                  --unusual takes them as they are"
+            )));
+        }
+        if self.anatomy == ExpectedAnatomy::Human && growth < LEAST_LUMEN_LEFT {
+            return Err(Error::input(format!(
+                "the airway at expiration has {growth:.2} of its volume at inspiration, and an airway keeps more than a \
+                 quarter: both files must have one unit; --unusual takes them as they are"
             )));
         }
         if most >= STILL_MM {

@@ -96,7 +96,7 @@ impl MotionArguments {
         let lungs = match &self.lung_boxes {
             Some(path) => {
                 let lungs = LungBox::read(path, &patient)?;
-                check_lungs([lungs.low_mm, lungs.high_mm], anatomy).map_err(|e| e.at(path))?;
+                check_lungs("boxes", [lungs.low_mm, lungs.high_mm], anatomy).map_err(|e| e.at(path))?;
                 Some(lungs)
             }
             None => self.other_patient.then(|| LungBox::around(&pairs)),

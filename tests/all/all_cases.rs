@@ -404,7 +404,7 @@ fn a_job_array_makes_both_tracks_as_the_main_job_does() {
     assert!(write_scripts().1.contains("every cell is finished"));
 
     // A comma parts cases; and a profile's list, which may be longer than a command line, stays in the profile.
-    assert!(!fs::read_to_string(place.path("scripts/report.sh")).unwrap().contains("--cases"));
+    assert!(!fs::read_to_string(place.path("scripts").join("report.sh")).unwrap().contains("--cases"));
     fs::create_dir(place.path("a,b")).unwrap();
     let mut slurm = program();
     slurm.args(["slurm", "--cases", "own.toml", "--scripts", "s", "--out", "o", "--cache", "c"]);

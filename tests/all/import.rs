@@ -221,6 +221,12 @@ fn units_axes_and_loose_parts_are_noticed_and_their_cure_works() {
     let mut command = self::command();
     command.args(["import", "mesh-pair", "--id", "x"]).arg(at("good.ply")).arg(at("grown.ply"));
     fails(command.arg("--out").arg(at("out")), &["grown.ply", "1.33 times as large at expiration", "swapped"]);
+    let (low, high) = good.bounds();
+    let middle = low.midpoint(high);
+    mapped("half.ply", &|v| middle + (v - middle) * 0.6);
+    let mut command = self::command();
+    command.args(["import", "mesh-pair", "--id", "x"]).arg(at("good.ply")).arg(at("half.ply"));
+    fails(command.arg("--out").arg(at("out")), &["half.ply", "has 0.22 of its volume"]);
     assert!(!at("out").exists());
 }
 
