@@ -13,8 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::base::range::{COORDINATE, NumberRange};
 use crate::base::{Camera, Error, Result, files, pose};
 
-/// Angles of view of a picture in radians, in degrees from .06 to 179.9.
-const ANGLE_RAD: NumberRange = NumberRange::new(1e-3, 3.14);
+/// Angles of view of a picture in radians: in degrees from .06 to 177.6.
+const ANGLE_RAD: NumberRange = NumberRange::new(1e-3, 3.1);
 
 /// Intrinsics as they stand in the file, at its top or in a frame; what a frame leaves out is as at the top.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -466,7 +466,7 @@ mod tests {
             (
                 "\"w\":8,\"h\":8,\"camera_angle_x\":90,",
                 vec![""],
-                "camera_angle_x: 90 must lie in 0.001 to 3.14: it is in",
+                "camera_angle_x: 90 must lie in 0.001 to 3.1: it is in",
             ),
             ("\"w\":8,\"h\":8,\"fl_x\":4,\"camera_angle_y\":-1,", vec![""], "camera_angle_y: -1 must lie"),
             ("", vec![own, ",\"w\":8,\"h\":8,\"fl_x\":1,\"k2\":1"], "frame 1: k2: radial"),
