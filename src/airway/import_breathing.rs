@@ -68,8 +68,8 @@ pub struct LungBox {
 }
 
 impl LungBox {
-    /// The box of `patient` in the phase `insp` of a table with the columns [`BOX_COLUMNS`] and [`BOX_SIDES_MM`], in any
-    /// order. Errors name file and line: no such box, or two; corners that are swapped.
+    /// The box of `patient` in the phase `insp` of a table with the columns `case,phase,min_x,..,max_z`, in any order, mm.
+    /// Errors name file and line: no such box, or two; corners that are swapped.
     pub fn read(path: &Path, patient: &str) -> Result<LungBox> {
         LungBox::parse(&files::read_bytes(path)?, patient).map_err(|e| e.at(path))
     }
