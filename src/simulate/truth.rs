@@ -10,9 +10,9 @@ use crate::render::Scene;
 use crate::render::probe::{SurfacePoint, image_of, probe};
 
 /// Tissue beyond the picture's rim by more than this part of the picture has left it, as far as its way is concerned; and
-/// how often a way is halved about its middle until it has not.
+/// in how many steps the part of its way is found that has not.
 const BESIDE_PICTURE: f64 = 0.5;
-const MOST_HALVINGS: u32 = 10;
+const BISECTIONS: u32 = 12;
 
 /// A kind of ground-truth image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -142,15 +142,22 @@ impl<'a> VisibleWall<'a> {
         let project = |place: DVec3| camera.project(place).filter(is_near);
         let way = |point: &SurfacePoint| {
             let [from, to] = [0, 1].map(|k| eyes[k].0.transform_point3(point.on(eyes[k].1, &self.rest.faces)));
-            let mut ends = [from, to];
-            for _ in 0..MOST_HALVINGS {
-                if let [Some(a), Some(b)] = ends.map(project) {
-                    return Some(b - a);
-                }
-                let middle = from.midpoint(to);
-                ends = ends.map(|end| middle.midpoint(end));
+            let way = |[a, b]: [DVec3; 2]| Some(project(b)? - project(a)?);
+            if let Some(whole) = way([from, to]) {
+                return Some(whole);
             }
-            None
+            // The longest part about the middle.
+            let middle = from.midpoint(to);
+            let part = |share: f64| way([from, to].map(|end| middle.lerp(end, share)));
+            let (mut inside, mut outside, mut found) = (0.0, 1.0, None);
+            for _ in 0..BISECTIONS {
+                let share = 0.5 * (inside + outside);
+                match part(share) {
+                    None => outside = share,
+                    some => (inside, found) = (share, some),
+                }
+            }
+            found
         };
         let all = self.points.par_iter().map(|point| point.as_ref().and_then(way).unwrap_or(DVec2::ZERO));
         all.collect()
