@@ -7,7 +7,7 @@ use super::measured::pose_error;
 use crate::base::statistics::upper_median;
 use crate::formats::prediction::{POSES, TARGETS};
 
-/// How far in mm an estimate may be from what is given, in the median, before another reading is tried: twice what lung
+/// How far in mm an estimate may be from what is given, in the median, before another reading is tried: more than lung
 /// tissue moves.
 const FAR_MM: f64 = 80.0;
 /// And the angle in degrees between its cameras and the given ones.

@@ -27,7 +27,8 @@ const LEAST_CLEARANCE: f64 = 0.9;
 const END_TOLERANCE: f64 = 0.01;
 /// Share of the values that the automatic exposure may expect to clip, in the middle frame.
 const MOST_CLIPPED: f64 = 0.25;
-/// Largest albedo of a wall whose light, thrown back and forth, is found to half a per cent; looks have up to .64.
+/// Largest albedo of a wall whose light, thrown back and forth, a film follows but for a per cent or two; looks have up to
+/// .64, with half a per cent.
 const MOST_ALBEDO: f64 = 0.9;
 /// On the clinical track the lumen moves otherwise than when it was measured: this part of the room is used.
 const CLINICAL_ROOM: f64 = 0.85;
