@@ -3,9 +3,12 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+/// The program that was built with these tests. What looks for it beside the running test finds an old one there.
+pub const PROGRAM: &str = env!("CARGO_BIN_EXE_respire-bench");
+
 /// The program, in the repository's root, with a small machine's threads.
 pub fn program() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_respire-bench"));
+    let mut command = Command::new(PROGRAM);
     command.current_dir(Path::new(env!("CARGO_MANIFEST_DIR")));
     command
 }

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Stdio};
 
-use crate::binary::{program, run};
+use crate::binary::{PROGRAM, program, run};
 
 #[test]
 fn help_and_version_are_no_errors_and_mistakes_are_usage() {
@@ -177,7 +177,7 @@ fn files_are_for_whom_the_users_mask_lets_in() {
     for (mask, mode) in [("077", 0o600), ("022", 0o644), ("002", 0o664)] {
         let folder = tempfile::tempdir().unwrap();
         let mut shell = Command::new("sh");
-        shell.args(["-c", "umask $1; exec \"$2\" man --out \"$3\"", "-", mask, env!("CARGO_BIN_EXE_respire-bench")]);
+        shell.args(["-c", "umask $1; exec \"$2\" man --out \"$3\"", "-", mask, PROGRAM]);
         assert!(shell.arg(folder.path()).status().unwrap().success());
         let page = std::fs::metadata(folder.path().join("respire-bench.1")).unwrap();
         assert_eq!(page.permissions().mode() & 0o777, mode, "umask {mask}");

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::binary::outcome;
+use crate::binary::{PROGRAM, outcome};
 
 /// Beginnings of examples that are not run here, and what runs their command instead.
 const ELSEWHERE: [(&str, &str); 16] = [
@@ -38,7 +38,7 @@ const EXCHANGED: [(&str, &str); 5] = [
 ];
 
 fn program(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_respire-bench"));
+    let mut command = Command::new(PROGRAM);
     command.current_dir(folder);
     command
 }
@@ -128,7 +128,7 @@ fn every_example_of_the_help_runs() {
         let line = EXCHANGED.iter().fold(format!("\"$0\" {example}"), |line, (from, to)| line.replace(from, to));
         // What is redirected, or comes after, is the shell's.
         let line = [" > ", " && ", " # "].iter().fold(&line[..], |line, end| line.split(end).next().unwrap());
-        done(Command::new("bash").current_dir(folder.path()).args(["-c", line, env!("CARGO_BIN_EXE_respire-bench")]));
+        done(Command::new("bash").current_dir(folder.path()).args(["-c", line, PROGRAM]));
     }
     assert_eq!(elsewhere.len(), ELSEWHERE.len(), "an example that is no longer there is excused");
 }

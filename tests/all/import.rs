@@ -14,12 +14,12 @@ use respire_bench::base::TriangleMesh;
 use respire_bench::formats::{landmarks, mesh};
 use respire_bench::simulate::trajectory::Route;
 
-use crate::binary::interrupt;
+use crate::binary::{PROGRAM, interrupt};
 use crate::cases::case_path;
 use crate::skip::shared;
 
 pub fn command() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_respire-bench"))
+    Command::new(PROGRAM)
 }
 
 /// Landmark pairs of an invented motion, as a file.
@@ -354,7 +354,7 @@ fn an_import_that_is_stopped_publishes_nothing() {
     // A folder that a kill left behind.
     fs::create_dir_all(at(".unfinished-Ab12Cd/work")).unwrap();
     let start = |landmarks: &Path| {
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_respire-bench"));
+        let mut command = std::process::Command::new(PROGRAM);
         command.args(["import", "mesh", "--id", "x"]).arg(at("good.ply")).arg("--landmarks").arg(landmarks);
         command.arg("--out").arg(at("new/out")).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
     };

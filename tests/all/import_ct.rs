@@ -23,7 +23,7 @@ use respire_bench::ct::program::REMEDY;
 use respire_bench::ct::registration::{RegistrationInput, elastix_version, register};
 use respire_bench::formats::{nifti, volume};
 
-use crate::binary::interrupt;
+use crate::binary::{PROGRAM, interrupt};
 use crate::cases::case_path;
 use crate::import::command;
 use crate::skip::{shared, skip};
@@ -360,7 +360,7 @@ fn a_conversion_that_is_interrupted_says_so() {
     for to_whole_group in [true, false] {
         let folder = tempfile::tempdir().unwrap();
         unending_conversion(folder.path());
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_respire-bench"));
+        let mut command = std::process::Command::new(PROGRAM);
         command.args(["import", "ct"]).arg(folder.path().join("slices")).args(["--motion", "copd05", "--id", "a"]);
         command.arg("--out").arg(folder.path().join("out"));
         command.env("PATH", format!("{}:/usr/bin:/bin", folder.path().display())).stdin(Stdio::null());

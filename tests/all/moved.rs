@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::binary::outcome;
+use crate::binary::{PROGRAM, outcome};
 
 /// The program alone in a folder of its own, and an empty folder to start it from.
 fn moved(folder: &Path) -> (PathBuf, PathBuf) {
     let (program, elsewhere) = (folder.join("program/respire-bench"), folder.join("elsewhere"));
     std::fs::create_dir_all(program.parent().unwrap()).unwrap();
     std::fs::create_dir(&elsewhere).unwrap();
-    std::fs::copy(env!("CARGO_BIN_EXE_respire-bench"), &program).unwrap();
+    std::fs::copy(PROGRAM, &program).unwrap();
     (program, elsewhere)
 }
 

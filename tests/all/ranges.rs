@@ -19,6 +19,7 @@ use respire_bench::report::gate::read_thresholds;
 use respire_bench::simulate;
 use toml::Value;
 
+use crate::binary::PROGRAM;
 use crate::render::small_tube;
 
 fn shipped() -> PathBuf {
@@ -215,8 +216,7 @@ fn every_number_of_a_scene_is_used_or_refused_by_name() {
 /// Runs the program with a time limit of 20 s: exit code and what it says.
 fn limited(folder: &Path, words: &[&str]) -> (i32, String) {
     let start = Instant::now();
-    let output = assert_cmd::Command::cargo_bin("respire-bench")
-        .unwrap()
+    let output = assert_cmd::Command::new(PROGRAM)
         .current_dir(folder)
         .args(words)
         .timeout(Duration::from_secs(20))
@@ -307,8 +307,7 @@ fn every_number_of_the_command_line_is_used_or_refused_by_name() {
 fn the_table_of_numbers_is_complete() {
     let folder = tempfile::tempdir().unwrap();
     let help = |words: &[&str]| {
-        let output =
-            assert_cmd::Command::cargo_bin("respire-bench").unwrap().args(words).arg("--help").output().unwrap();
+        let output = assert_cmd::Command::new(PROGRAM).args(words).arg("--help").output().unwrap();
         String::from_utf8(output.stdout).unwrap()
     };
     let subcommands = |text: &str| -> Vec<String> {
@@ -395,16 +394,12 @@ fn what_would_never_end_is_refused_in_one_sentence() {
         refused(&words, 4, says);
     }
     let table = "id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id\n0,0,0,0,5,0,0,-1\n1,0,0,-10,5,0,0,0\n";
-    for (row, code, says) in [
-        ("2,0,0,-20,5,4294967294,1,1\n3,0,0,-30,5,4294967294,1,2\n", 0, ""),
-        ("2,0,1000000000,-20,4,1,1,1\n3,0,0,-30,4,1,1,2\n", 4, "id 2, coordinates: 1e9"),
+    for (out, row, code, says) in [
+        ("last.toml", "2,0,0,-20,5,4294967294,1,1\n3,0,0,-30,5,4294967294,1,2\n", 0, ""),
+        ("far.toml", "2,0,1000000000,-20,4,1,1,1\n3,0,0,-30,4,1,1,2\n", 4, "id 2, coordinates: 1e9"),
     ] {
         std::fs::write(place("tree.csv"), format!("{table}{row}")).unwrap();
-        refused(
-            &["import", "tree", &place("tree.csv"), "--unusual", "--source", "s", "--out", "tree.toml"],
-            code,
-            says,
-        );
+        refused(&["import", "tree", &place("tree.csv"), "--unusual", "--source", "s", "--out", out], code, says);
     }
 }
 
@@ -492,11 +487,10 @@ fn coincident_faces_take_little_memory() {
     let scene = std::fs::read_to_string(&file).unwrap();
     let walls = "kind = \"subsurface\"\nmean_free_path_mm = [1.0, 1.0, 1.0]";
     std::fs::write(&file, scene.replace("kind = \"lambert\"", walls)).unwrap();
-    let program = assert_cmd::cargo::cargo_bin("respire-bench");
     for (words, code) in [("render scene.toml --out view", 0), ("import tree solid.ply --source s --out tree.toml", 4)]
     {
         // 4 GB of addresses, shared libraries included.
-        let command = format!("ulimit -v 4000000; exec {} {words}", program.display());
+        let command = format!("ulimit -v 4000000; exec {PROGRAM} {words}");
         let limited = assert_cmd::Command::new("sh")
             .args(["-c", &command])
             .current_dir(folder.path())

@@ -4,6 +4,7 @@ use respire_bench::formats::{exr, mesh};
 use respire_bench::render::scene_file::{MeshSection, SceneFile};
 use respire_bench::render::{Scene, render};
 
+use crate::binary::PROGRAM;
 use crate::render::{scaled, small_tube, sphere};
 
 /// A scene file around a small tube, in a new folder.
@@ -25,8 +26,7 @@ fn scene_folder(material: &str, expiration: bool) -> tempfile::TempDir {
 }
 
 fn command(folder: &tempfile::TempDir) -> assert_cmd::assert::Assert {
-    assert_cmd::Command::cargo_bin("respire-bench")
-        .unwrap()
+    assert_cmd::Command::new(PROGRAM)
         .arg("render")
         .arg(folder.path().join("scene.toml"))
         .arg("--out")

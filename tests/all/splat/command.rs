@@ -7,6 +7,8 @@ use respire_bench::formats::transforms::{Transforms, TransformsFrame, Transforms
 use respire_bench::formats::{exr, npy};
 use respire_bench::splat::{DepthOutput, Gaussians, ImageGradient, Isa, Rasterizer, Settings, Shape, View, Wanted};
 
+use crate::binary::PROGRAM;
+
 use super::scenes::{Kind, Lens, member, random, relative, view, world_from_camera};
 
 /// A `.ply` of ellipsoids with one that is not finite in the middle, and two cameras.
@@ -52,8 +54,7 @@ fn folder() -> (tempfile::TempDir, GaussianCloud) {
 }
 
 fn command(folder: &Path, more: &[&str]) -> assert_cmd::assert::Assert {
-    assert_cmd::Command::cargo_bin("respire-bench")
-        .unwrap()
+    assert_cmd::Command::new(PROGRAM)
         .current_dir(folder)
         .args(["splat", "scene.ply", "--cameras", "transforms.json", "--out", "out"])
         .args(more)
@@ -307,7 +308,7 @@ fn command_says_what_is_wrong() {
 fn stress_passes_and_pareto_marks_the_default() {
     let folder = tempfile::tempdir().unwrap();
     let run = |arguments: &[&str]| {
-        let mut command = assert_cmd::Command::cargo_bin("respire-bench").unwrap();
+        let mut command = assert_cmd::Command::new(PROGRAM);
         command.current_dir(folder.path()).args(arguments).assert().success();
     };
     run(&["stress", "--small", "--out", "stress"]);
