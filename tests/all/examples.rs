@@ -28,9 +28,12 @@ const ELSEWHERE: [(&str, &str); 16] = [
     ("stress", "the unit tests of experiments/stress"),
 ];
 
-/// Words that are exchanged: for a smaller film, a quicker method, a folder of the test.
-const EXCHANGED: [(&str, &str); 5] = [
-    ("--profile quick", "--profile smoke"),
+/// Words that are exchanged: for a smaller film or scene, a quicker method, a folder of the test.
+const EXCHANGED: [(&str, &str); 8] = [
+    ("--profile quick", "--profile tiny.toml"),
+    ("--profile smoke", "--profile tiny.toml"),
+    ("pareto phase", "pareto phase --profile tiny.toml"),
+    ("pareto splat", "pareto splat --scenes 600x48 --repeat 1"),
     ("--method ours --profile", "--method pose-only --profile"),
     ("reports/reference/quick reports/latest/ideal", "reports/reference/quick reports/reference/quick"),
     ("~/", ""),
@@ -74,12 +77,19 @@ fn link(folder: &Path, name: &str, to: &Path) {
     std::os::unix::fs::symlink(to, place).unwrap();
 }
 
+/// The smallest run that has all that a run has.
+const TINY: &str = "description = \"four frames\"\ncases = [\"case1\"]\nseeds = [1]\nimage_width_px = 32\n\
+                    frames_per_second = 2.0\nminimum_frames = 4\nminimum_breaths = 0.0\nsamples_per_pixel = 4\n\
+                    iteration_scale = 0.05\n";
+
 /// What the examples name: a film under all of its names, answers of one's own, reports.
 fn furnish(folder: &Path) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let words = "all-cases --profile smoke --cases case1 --methods pose-only --out reports --cache made";
+    fs::write(folder.join("tiny.toml"), TINY).unwrap();
+    // The examples that say no cache find the film in the usual one.
+    let words = "all-cases --profile tiny.toml --cases case1 --methods pose-only --out reports";
     done(program(folder).args(words.split(' ')));
-    let film = fs::read_dir(folder.join("made/sequences")).unwrap().next().unwrap().unwrap().path().join("film");
+    let film = fs::read_dir(folder.join(".cache/sequences")).unwrap().next().unwrap().unwrap().path().join("film");
     for name in
         ["films/case1", "my/film", ".cache/sequences/case1-0123456789ab/film", "tmp/films/case1", "tmp/films/case2"]
     {
