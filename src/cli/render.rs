@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::Terminal;
 use crate::base::{Error, ErrorKind, Progress, Result, files};
 use crate::experiments::timing::measure;
-use crate::formats::exr;
+use crate::formats::{exr, prediction};
 use crate::render::scene_file::SceneFile;
 use crate::render::{ISA, render_watched};
 
@@ -56,6 +56,7 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
     if arguments.out.exists() && !arguments.out.is_dir() {
         return Err(Error::input("is no folder").element("--out").at(&arguments.out));
     }
+    prediction::demand_none_in(&arguments.out)?;
     let file = SceneFile::load(&arguments.scene)?;
     let (camera, pose) = (file.camera.intrinsics()?, file.camera.pose()?);
     let (scene, build) = measure(|| file.build());

@@ -10,6 +10,7 @@ use super::splat_output::{Features, FrameTiming, GRADIENTS, SplatOutput, SplatTi
 use crate::base::range::{LIGHT, NumberRange, REPETITIONS};
 use crate::base::{Error, Progress, Result, files};
 use crate::formats::gaussians_ply::{self, GaussianCloud};
+use crate::formats::prediction;
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::splat::{
     DepthOutput, Filter, Footprint, GaussianSlices, Gaussians, ImageGradient, Isa, Rasterizer, Settings, Shape, View,
@@ -224,6 +225,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         contributors: arguments.contributors,
         features: arguments.channels.as_deref().map(|path| Features::read(path, &cloud)).transpose()?,
     };
+    prediction::demand_none_in(&output.folder)?;
     output.check_replaceable()?;
     let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, KernelChoice::isa))?;
     rasterizer.measure_cpu();

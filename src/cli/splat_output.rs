@@ -18,8 +18,8 @@ const VALUE_S: f64 = 5e-8;
 
 /// Sums of gradients over all frames.
 pub(super) const GRADIENTS: &str = "gradients.npz";
-/// Endings of all files of a frame, the first of which every frame has.
-const ENDINGS: [&str; 7] = [".exr", ".png", "_depth.exr", ALPHA, "_contributors.exr", "_normals.exr", "_channels.exr"];
+/// Endings of all files of a frame. The first is written first and removed last, so that whatever a kill leaves is known.
+const ENDINGS: [&str; 7] = [ALPHA, ".exr", ".png", "_depth.exr", "_contributors.exr", "_normals.exr", "_channels.exr"];
 /// The ending of opacities, which every frame of `splat` has, and no picture of a film.
 const ALPHA: &str = "_alpha.exr";
 
@@ -141,10 +141,11 @@ impl SplatOutput {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("removing", &path, e)),
             _ => Ok(()),
         };
-        for number in (0..).take_while(|&number| self.path(number, ENDINGS[0]).exists()) {
-            ENDINGS.iter().try_for_each(|ending| remove(self.path(number, ending)))?;
-        }
-        remove(self.folder.join(GRADIENTS))
+        remove(self.folder.join(GRADIENTS))?;
+        let count = (0..).take_while(|&number| self.path(number, ALPHA).exists()).count();
+        (0..count)
+            .rev()
+            .try_for_each(|number| ENDINGS.iter().rev().try_for_each(|ending| remove(self.path(number, ending))))
     }
 
     /// What `frames` frames of `size` (height, width) would cost, their files included, when `pass` is the cost of one
@@ -174,10 +175,10 @@ impl SplatOutput {
         let path = |ending: &str| self.path(number, ending);
         let rendered = rasterizer.rendered();
         let color = image(3, rendered.color.clone());
+        exr::write_channel(&path(ALPHA), "A", &image(1, rendered.alpha.clone()))?;
         exr::write_rgb(&path(".exr"), &color)?;
         png::write_rgb(&path(".png"), &codes_from_unit(&color))?;
         exr::write_depth(&path("_depth.exr"), &image(1, rendered.depth.clone()))?;
-        exr::write_channel(&path(ALPHA), "A", &image(1, rendered.alpha.clone()))?;
         if self.contributors {
             let counts = rasterizer.contributors()?.into_iter().map(|count| count as f32).collect();
             exr::write_channel(&path("_contributors.exr"), "N", &image(1, counts))?;
@@ -204,7 +205,7 @@ mod tests {
     fn frames_of_an_earlier_run_do_not_stay() {
         let folder = tempfile::tempdir().unwrap();
         let place = |name: &str| folder.path().join(name);
-        let own = ["000000.exr", "000000.png", "000001.exr", "000001_normals.exr", GRADIENTS];
+        let own = ["000000.exr", "000000.png", "000001.exr", "000001_alpha.exr", "000001_normals.exr", GRADIENTS];
         let others = ["notes.txt", "000009.png"];
         own.iter().chain(&others).for_each(|name| std::fs::write(place(name), "").unwrap());
         let output =

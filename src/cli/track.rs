@@ -1,7 +1,7 @@
 //! `track`: answers while the film goes on.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -107,6 +107,14 @@ fn end_of(outcome: &Result<LiveSummary>) -> LiveEnd {
     }
 }
 
+/// What follows nothing has gone wrong before: a camera that does not run, another folder.
+fn no_picture(images: Option<&Path>) -> Error {
+    match images {
+        Some(folder) => Error::input("no picture appeared in it").at(folder),
+        None => Error::input("no picture came").element("standard input"),
+    }
+}
+
 /// Follows, and prints a line for each answer.
 pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
     if let Some(masks) = &arguments.masks
@@ -139,6 +147,10 @@ pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
     };
     let method = SeededMethod { id: &arguments.method, seed: arguments.seed };
     let outcome = live::follow(&catalogue, &arguments.profile, method, film, options, &mut report, terminal);
+    let outcome = outcome.and_then(|summary| match summary.frames {
+        0 => Err(no_picture(arguments.images.as_deref())),
+        _ => Ok(summary),
+    });
     if let Some(page) = &page {
         page.end(&end_of(&outcome));
     }

@@ -29,6 +29,15 @@ const INSIDE_MM: f64 = 2.0;
 /// Least share of a mask's inside that must be air in its scan, and the fewest voxels that say so.
 const LEAST_AIR: f64 = 0.93;
 const FEWEST_INSIDE: usize = 50;
+/// By how much larger that share must be for a mask that is mirrored: a straight tube is its own mirror image.
+const LEAST_GAIN: f64 = 0.01;
+/// Axes of a mask's voxels that a header may have the wrong way round, and what the mask is then.
+const TURNED_ROUND: [([bool; 3], &str); 4] = [
+    ([true, false, false], "mirrored along its first axis"),
+    ([false, true, false], "mirrored along its second axis"),
+    ([false, false, true], "mirrored along its third axis"),
+    ([true, true, false], "turned by half around its third axis"),
+];
 
 /// The files of an import.
 pub struct ScanRequest<'a> {
@@ -231,7 +240,8 @@ fn inspiration_of(
     Ok((surface, full, volume_l))
 }
 
-/// Refuses a mask of the airway whose inside is no air in `scan`: one of another patient, or whose header lies.
+/// Refuses a mask of the airway whose inside is no air in `scan`, or less so than its mirror image's: one of another patient,
+/// or whose header lies.
 pub fn check_mask(mask: &Volume<u8>, scan: &Volume<i16>) -> Result<()> {
     let (size, spacing_mm) = (mask.grid.size, mask.grid.spacing_mm());
     let reach: [usize; 3] = std::array::from_fn(|axis| (INSIDE_MM / spacing_mm[axis]).ceil() as usize);
@@ -249,14 +259,35 @@ pub fn check_mask(mask: &Volume<u8>, scan: &Volume<i16>) -> Result<()> {
                 && along(cell[axis] + reach[axis])
         })
     };
-    let to_index = scan.grid.index_from_place();
-    let (mut inside, mut air) = (0, 0);
-    for at in (0..mask.data.len()).filter(|&at| mask.data[at] > 0 && is_inside(at)) {
-        inside += 1;
-        air += usize::from(scan.nearest(to_index(mask.grid.centre(at))).is_some_and(|hu| hu < INSIDE_HU));
+    let inside: Vec<[usize; 3]> =
+        (0..mask.data.len()).filter(|&at| mask.data[at] > 0 && is_inside(at)).map(|at| mask.grid.cell(at)).collect();
+    if inside.len() < FEWEST_INSIDE {
+        return Ok(());
     }
-    let share = air as f64 / inside.max(1) as f64;
-    if inside >= FEWEST_INSIDE && share < LEAST_AIR {
+    let to_index = scan.grid.index_from_place();
+    // The share of air where the mask lies once the axes that are `turned` are counted from their other end.
+    let air_share = |turned: [bool; 3]| {
+        let place = |cell: &[usize; 3]| {
+            let cell = std::array::from_fn(|axis| if turned[axis] { size[axis] - 1 - cell[axis] } else { cell[axis] });
+            mask.grid.centre(mask.grid.at(cell))
+        };
+        let is_air = |cell: &&[usize; 3]| scan.nearest(to_index(place(cell))).is_some_and(|hu| hu < INSIDE_HU);
+        inside.iter().filter(is_air).count() as f64 / inside.len() as f64
+    };
+    let share = air_share([false; 3]);
+    let better = TURNED_ROUND.iter().map(|(turned, how)| (air_share(*turned), how));
+    if let Some((most, how)) =
+        better.filter(|(turned, _)| *turned >= LEAST_AIR.max(share + LEAST_GAIN)).max_by(|a, b| a.0.total_cmp(&b.0))
+    {
+        let sentence = format!(
+            "{:.1} % of the inside of this airway is air in the scan, and {:.1} % once it is {how}: one of the two headers has \
+             an axis the wrong way round",
+            100.0 * share,
+            100.0 * most
+        );
+        return Err(Error::input(sentence));
+    }
+    if share < LEAST_AIR {
         let sentence = format!(
             "only {:.0} % of the inside of this airway is air in the scan: it was made for another one, or one of the two \
              headers does not say where it lies",
@@ -373,5 +404,23 @@ mod tests {
         let mut moved = mask(21.0);
         moved.grid.origin_mm.y += 40.0;
         assert!(check_mask(&moved, &scan).unwrap_err().to_string().contains("only 0 %"));
+    }
+
+    /// The trachea is nearly its own mirror image, and most of an airway's volume.
+    #[test]
+    fn a_mask_that_fits_better_as_its_mirror_image_is_refused() {
+        let grid = VoxelGrid::upright([60, 60, 40], DVec3::ZERO, DVec3::new(0.7, 0.7, 1.0));
+        let middle_mm = grid.centre(0).x + 0.5 * 59.0 * 0.7;
+        let airway = |at: usize, side: f64| {
+            let place = grid.centre(at) - DVec3::new(middle_mm, 21.0, 0.0);
+            let bronchus = (place - DVec3::new(13.0 * side, 4.0, 10.0)).length() < 5.0;
+            place.truncate().length() < 8.0 || bronchus
+        };
+        let of = |side: f64| (0..grid.count()).map(move |at| airway(at, side));
+        let scan = Volume { grid, data: of(1.0).map(|air| if air { -980i16 } else { 30 }).collect() };
+        let mask = |side: f64| Volume { grid, data: of(side).map(u8::from).collect() };
+        check_mask(&mask(1.0), &scan).unwrap();
+        let said = check_mask(&mask(-1.0), &scan).unwrap_err().to_string();
+        assert!(said.contains("and 100.0 % once it is mirrored along its first axis"), "{said}");
     }
 }

@@ -2,6 +2,10 @@
 //! (`src/reconstruct/prediction_folder.rs`) and the reader (`src/score/prediction.rs`, which says what each holds) both
 //! take them from here.
 
+use std::path::Path;
+
+use crate::base::{Error, Result, files};
+
 /// Renderings of the frames.
 pub const COLOR: &str = "color";
 /// Depths of the frames.
@@ -76,6 +80,24 @@ pub fn header(columns: &[&str]) -> String {
     columns.join(",") + "\n"
 }
 
+/// For what writes a `timing.json` of another meaning.
+///
+/// Errors: a prediction, or a part of one, lies in `folder`.
+pub fn demand_none_in(folder: &Path) -> Result<()> {
+    let is_of_prediction = |name: &&str| match *name {
+        TIMING => files::read_json::<serde_json::Value>(&folder.join(TIMING))
+            .is_ok_and(|timing| TIMING_KEYS.iter().any(|key| timing.get(key).is_some())),
+        name => folder.join(name).exists(),
+    };
+    match SINGLE_FILES.into_iter().find(is_of_prediction) {
+        Some(name) => {
+            Err(Error::input("is a prediction's, and nothing is overwritten: name another folder with --out")
+                .at(folder.join(name)))
+        }
+        None => Ok(()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -85,5 +107,19 @@ mod tests {
         assert_eq!(frame_file(COLOR, 7, PICTURE_ENDING), "color/000007.png");
         assert_eq!(frame_file(NOVEL_DEPTH, 1_234_567, DEPTH_ENDING), "novel_depth/1234567.exr");
         assert_eq!(header(&TARGET_COLUMNS), "frame,target,x_mm,y_mm,z_mm\n");
+    }
+
+    #[test]
+    fn a_prediction_is_told_from_others_times() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| files::write_bytes(&folder.path().join(name), text.as_bytes()).unwrap();
+        demand_none_in(&folder.path().join("absent")).unwrap();
+        write(TIMING, "{\"render_wall_s\": 1.5}");
+        demand_none_in(folder.path()).unwrap();
+        write(TIMING, "{\"time_total_s\": 1.5}");
+        assert!(demand_none_in(folder.path()).unwrap_err().to_string().contains("timing.json: is a prediction's"));
+        write(TIMING, "{}");
+        write(FINAL_MESH, "ply");
+        assert!(demand_none_in(folder.path()).unwrap_err().to_string().contains("mesh/final.ply: is a prediction's"));
     }
 }

@@ -10,8 +10,8 @@ use crate::base::{Error, Result, Volume, VoxelGrid};
 const HOUNSFIELD: NumberRange = NumberRange::new(i16::MIN as f64, i16::MAX as f64);
 /// Bytes decoded at a time; a multiple of every sample's size.
 const CHUNK_BYTES: usize = 1 << 20;
-/// Bytes behind the voxels that are looked through for a checksum; a file may have no end.
-const MOST_BEHIND_BYTES: u64 = 1 << 24;
+/// Bytes behind the voxels that are looked through at most; a file may have no end.
+const MOST_BEHIND_BYTES: u64 = 1 << 30;
 
 /// A voxel's Hounsfield units, rounded. Errors: no number, or more than a scan can hold.
 pub fn hounsfield(value: f64) -> Result<i16> {
@@ -98,8 +98,8 @@ pub struct VolumeSource {
 impl VolumeSource {
     /// The value of every voxel through `convert`.
     ///
-    /// Errors: several numbers a voxel; a file that ends early; a packed one whose checksum is another; a grid too large for this machine; the first of
-    /// `convert`.
+    /// Errors: several numbers a voxel; a file that ends early, or goes on for a slice and more; a packed one whose checksum is
+    /// another; a grid too large for this machine; the first of `convert`.
     pub fn read_scalars<T: Copy + Default>(self, convert: impl Fn(f64) -> Result<T>) -> Result<Volume<T>> {
         if self.channels != 1 {
             return Err(Error::input(format!("holds {} numbers a voxel, and one is wanted", self.channels)));
@@ -163,7 +163,16 @@ impl VolumeSource {
         }
         // The checksum of a packed file stands at its end.
         let damaged = |e| Error::input(format!("is damaged: {e}"));
-        std::io::copy(&mut self.reader.take(MOST_BEHIND_BYTES), &mut std::io::sink()).map(|_| ()).map_err(damaged)
+        let behind = std::io::copy(&mut self.reader.take(MOST_BEHIND_BYTES), &mut std::io::sink()).map_err(damaged)?;
+        // Some writers fill up; another size or another kind of number leaves at least a slice.
+        let slice = (count / self.grid.size[2] * size) as u64;
+        if behind >= slice {
+            return Err(Error::input(format!(
+                "goes on for {behind} bytes behind the voxels that its header tells of ({count} numbers of {size} bytes): \
+                 sizes or kind of number there are wrong"
+            )));
+        }
+        Ok(())
     }
 }
 
@@ -173,9 +182,8 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn a_file_without_end_ends_with_its_voxels() {
-        let source = VolumeSource {
+    fn source(reader: impl Read + 'static) -> VolumeSource {
+        VolumeSource {
             grid: VoxelGrid::upright([2, 3, 2], DVec3::ZERO, DVec3::ONE),
             channels: 1,
             order: ChannelOrder::ByVoxel,
@@ -183,8 +191,20 @@ mod tests {
             is_big_endian: false,
             slope: 2.0,
             intercept: -1.0,
-            reader: Box::new(std::io::repeat(7)),
-        };
-        assert_eq!(source.read_scalars(hounsfield).unwrap().data, [13; 12]);
+            reader: Box::new(reader),
+        }
+    }
+
+    #[test]
+    fn a_file_that_goes_on_for_a_slice_has_another_size() {
+        let read = |bytes: u64| source(std::io::repeat(7).take(bytes)).read_scalars(hounsfield);
+        assert_eq!(read(12).unwrap().data, [13; 12]);
+        // What fills up is not a slice.
+        assert_eq!(read(17).unwrap().data, [13; 12]);
+        let said = read(18).unwrap_err().to_string();
+        assert!(said.contains("goes on for 6 bytes behind the voxels that its header tells of"), "{said}");
+        assert!(read(11).unwrap_err().to_string().contains("ends early"));
+        // One without end is not read for ever.
+        assert!(source(std::io::repeat(7)).read_scalars(hounsfield).is_err());
     }
 }

@@ -136,6 +136,10 @@ fn live_answers_are_those_of_the_whole_run_wherever_pictures_come_from() {
     // What cannot be is refused.
     let cut = &place.raw()[..10];
     refused(place.piped(cut, &["--raw"]), 4, &["frame 0", "10 of"]);
+    refused(place.piped(&[], &["--raw"]), 4, &["standard input: no picture came"]);
+    fs::create_dir(place.path("dark")).unwrap();
+    let dark = place.text("dark");
+    refused(place.track(&["--images", &dark, "--patience-s", "0.2"]), 4, &["dark: no picture appeared in it"]);
     refused(place.track(&["--method", "ours"]), 2, &["`ours` takes whole films"]);
     fs::write(place.path("poses"), "{}\n").unwrap();
     refused(place.track(&["--poses", &place.text("poses")]), 4, &["poses", "line 1", "is no pose"]);
