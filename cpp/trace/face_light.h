@@ -7,10 +7,6 @@
 
 namespace respire {
 
-// Assumed fraction of the indirect light that reaches the coat from about the lamp's direction; the rest is taken as
-// uniform over all directions.
-constexpr float FROM_LAMP_SIDE = 0.5f;
-
 // Barycentric weights of a place in a face whose corner `corner` has the weight `own`; the other two share the rest.
 struct CornerWeights {
   float w[3];
@@ -43,11 +39,13 @@ class FaceLighting {
       received += light, sent += light * part.albedo, even += lamp_.unshadowed(part);
     }
     const float each = 1.0f / static_cast<float>(parts * parts);
-    const float e = material_.mean_coat(), spread = e * (1.0f - FROM_LAMP_SIDE);
+    const float e = material_.mean_coat();
+    const Vec3 side = material_.from_lamp_side();
+    const Vec3 spread = {e * (1.0f - side.x), e * (1.0f - side.y), e * (1.0f - side.z)};
     FaceLight out{};
     store(out.irradiance.data(), received * each);
     store(out.sent.data(), sent * (each * (1.0f - e)));
-    store(out.reflectance.data(), s.albedo * (1.0f - e) + Vec3{spread, spread, spread});
+    store(out.reflectance.data(), s.albedo * (1.0f - e) + spread);
     store(out.centre.data(), s.point);
     store(out.normal.data(), s.shading);
     store(out.unshadowed.data(), even * each);
@@ -57,7 +55,7 @@ class FaceLighting {
     const float cosine = std::max(dot(s.shading, normalize(lamp_.position() - s.point)), 0.0f);
     const float wide = std::max(material_.wide_coat().albedo(WIDE_ALPHA, cosine), 1e-6f);
     out.mirrored_lamp = material_.coat().albedo(s.alpha, cosine) / wide;
-    out.mirrored_other = e * FROM_LAMP_SIDE / wide;
+    out.mirrored_other = {e * side.x / wide, e * side.y / wide, e * side.z / wide};
     return out;
   }
 

@@ -109,10 +109,11 @@ class KnownLightTracer {
     // Indirect light by the coat: of its uniform part, by reciprocity, the albedo seen from here; the rest through the
     // wide lobe.
     const float e = material_.coat().albedo(met.s.alpha, met.o.z);
-    const float other = (1.0f - FROM_LAMP_SIDE) * e + FROM_LAMP_SIDE * material_.mean_coat() * glint;
+    auto other = [&](float side) { return (1.0f - side) * e + side * material_.mean_coat() * glint; };
+    const Vec3 side = material_.from_lamp_side();
     const Vec3 base = met.s.albedo * (1.0f - e);
     const Vec3 by_lamp = lamp_.irradiance(met.s, &paths_.caster()) * (base + grey(lamp));
-    return (by_lamp + light * (base + grey(other))) * (weight / PI);
+    return (by_lamp + light * (base + Vec3{other(side.x), other(side.y), other(side.z)})) * (weight / PI);
   }
 
   bool scattered_at(const Hit& hit, Vec3& light) const {

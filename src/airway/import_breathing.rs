@@ -78,11 +78,9 @@ impl LungBox {
         let names: Vec<&str> = BOX_COLUMNS.into_iter().chain(BOX_SIDES_MM.map(|(name, _)| name)).collect();
         let [cases, phases] = BOX_COLUMNS.map(|column| number_table::words(bytes, column, &names));
         let (cases, phases) = (cases?, phases?);
-        let rows = number_table::rows(bytes, BOX_SIDES_MM)?;
-        let mut of_patient = rows
-            .iter()
-            .zip(cases.iter().zip(&phases))
-            .filter_map(|(row, (case, phase))| (case == patient && phase.eq_ignore_ascii_case("insp")).then_some(row));
+        let is_wanted = |row: usize| cases[row] == patient && phases[row].eq_ignore_ascii_case("insp");
+        let rows = number_table::rows_where(bytes, BOX_SIDES_MM, is_wanted)?;
+        let mut of_patient = rows.iter();
         let row = match (of_patient.next(), of_patient.next()) {
             (Some(row), None) => row,
             (None, _) => return Err(Error::input(format!("has no box of case `{patient}` in phase `insp`"))),
@@ -400,6 +398,8 @@ mod tests {
         let of = |text: &str| read(text).unwrap();
         let wanted = LungBox { low_mm: DVec3::new(1.0, 2.0, 3.0), high_mm: DVec3::new(4.0, 5.0, 6.0) };
         assert_eq!(of(&format!("{head}\na,exp,0,0,0,1,1,1\nb,insp,0,0,0,1,1,1\na,insp,1,2,3,4,5,6\n")), wanted);
+        // Another patient's row is nobody's business.
+        assert_eq!(of(&format!("{head}\na,exp,,,,,,\na,insp,1,2,3,4,5,6\n")), wanted);
         assert_eq!(of("max_z,note,max_y,max_x,Phase,min_z,min_y,min_x,case\n6,x,5,4,Insp,3,2,1,\"a\"\n"), wanted);
         for (text, says) in [
             (format!("{head}\na,insp,4,2,3,1,5,6\n"), "line 2: min_x must be less than max_x"),

@@ -23,6 +23,8 @@ pub struct ArrayJob {
     pub work: Vec<Vec<String>>,
     /// Words of all of it, for the report.
     pub everything: Vec<String>,
+    /// The folder from which the words of `everything` name files.
+    pub started_in: String,
     /// Folder of the scripts and of what the tasks print, an absolute path.
     pub folder: String,
     /// Processors of a task.
@@ -121,6 +123,8 @@ impl ArrayJob {
         text += &self.report_cost.requests(self.processors);
         let _ = writeln!(text, "#SBATCH --output={}", quote(&format!("{}/report.log", self.log_folder())));
         let all = quoted(&self.everything);
+        let _ = writeln!(text, "# Where case files of the profile are looked for.");
+        let _ = writeln!(text, "cd {}", quote(&self.started_in));
         let _ = writeln!(text, "exec {} --threads {} --report-only {all}", self.command(), self.processors);
         text
     }
@@ -185,6 +189,7 @@ mod tests {
             common: words(&["all-cases", "--cache", "a b/it's"]),
             work: (0..pieces).map(|k| words(&["--cases", &format!("case {k}")])).collect(),
             everything: words(&["--cases", "a,b"]),
+            started_in: "/tmp".into(),
             folder: folder.into(),
             processors: 4,
             at_once: 20,
@@ -252,6 +257,7 @@ mod tests {
         let odd = job(3, "/my logs/100 %");
         assert!(odd.task_script().contains("#SBATCH --output='/my logs/100 %%/task-%a.log'\n"));
         assert!(odd.report_script().contains("#SBATCH --output='/my logs/100 %%/report.log'\n"));
+        assert!(odd.report_script().contains("\ncd /tmp\nexec echo all-cases "), "{}", odd.report_script());
         assert!(job(3, "/logs").submit_script().contains("--dependency=afterany:"));
         let report = job(3, "/logs").report_script();
         assert!(report.ends_with("--report-only --cases a,b\n"));

@@ -16,7 +16,7 @@ use super::claim::{self, Holder, lock};
 use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
 use super::stages::{Stages, caught};
-use super::store::{Finish, ProductState, Scrutiny, Store, Work, cell_folder, film_folder};
+use super::store::{Finish, ProductState, Scrutiny, Store, Unusable, Work, cell_folder, film_folder};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Progress, Result};
 use crate::report::run::RECONSTRUCT;
@@ -61,9 +61,22 @@ const LOOK_AGAIN: Duration = Duration::from_millis(200);
 /// Why a product is made again whose disk has failed, or that somebody changed.
 const DAMAGED: &str = "its files are not what they were when it was finished";
 
+/// How often a cell is tried again whose film or prediction was damaged: on a disk that goes on failing, its error counts.
+const MOST_MENDED: usize = 3;
+
 /// What came of trying a piece of work: done, or another process has it.
 enum Tried<T> {
     Done(T),
+    Held(Holder),
+}
+
+/// What becomes of a cell's error.
+enum Mended {
+    /// It stays.
+    No,
+    /// What it came of is gone.
+    TryAgain,
+    /// Another process works on what it came of.
     Held(Holder),
 }
 
@@ -277,22 +290,42 @@ impl<'a> Execution<'a> {
         })
     }
 
-    /// Whether `error` is that of a product which was damaged since it was made, and which is removed now.
-    fn is_mended(&self, case: &Planned, error: &Error) -> Result<bool> {
-        let Some(path) = error.path() else { return Ok(false) };
-        let Some(place) = self.store.discard_damaged(path)? else { return Ok(false) };
-        self.watcher.event(&Event::Discarded { path: &place, reason: DAMAGED });
+    /// What `error` of a cell comes to: its own, that of a product which was damaged since it was made and is removed now, by
+    /// whichever process, or of one on which another process works.
+    fn mended(&self, case: &Planned, film_before: Option<Finish>, error: &Error) -> Result<Mended> {
+        let Some(path) = error.path() else { return Ok(Mended::No) };
+        let film = format!("{}/film", film_folder(self.plan, case)?);
+        // A cache that may not be written keeps what it has, and the cell its error.
+        let unusable = self.store.discard_damaged(path).unwrap_or(Unusable::Whole);
+        let outcome = match unusable {
+            Unusable::Removed(place) => {
+                self.watcher.event(&Event::Discarded { path: &place, reason: DAMAGED });
+                Mended::TryAgain
+            }
+            Unusable::Held(holder) => Mended::Held(holder),
+            // Made again while the cell read the one before.
+            Unusable::Whole if film_before.is_some() && self.store.finish(&film) != film_before => Mended::TryAgain,
+            Unusable::Whole => return Ok(Mended::No),
+        };
         lock(&self.films).remove(&case.id);
-        Ok(true)
+        Ok(outcome)
     }
 
     /// Runs a cell, its film first. An error stops the run.
     fn tried(&self, case: &Planned, cell: &Cell, progress: &dyn Progress) -> Result<Tried<FinishedCell>> {
+        let film = format!("{}/film", film_folder(self.plan, case)?);
+        let mut before = self.store.finish(&film);
         let mut outcome = self.attempt(case, cell, progress)?;
-        if let Tried::Done(Err(error)) = &outcome
-            && self.is_mended(case, error)?
-        {
-            outcome = self.attempt(case, cell, progress)?;
+        for _ in 0..MOST_MENDED {
+            let Tried::Done(Err(error)) = &outcome else { break };
+            match self.mended(case, before, error)? {
+                Mended::No => break,
+                Mended::Held(holder) => return Ok(Tried::Held(holder)),
+                Mended::TryAgain => {
+                    before = self.store.finish(&film);
+                    outcome = self.attempt(case, cell, progress)?;
+                }
+            }
         }
         let failure = match outcome {
             Tried::Held(holder) => return Ok(Tried::Held(holder)),

@@ -60,9 +60,15 @@ impl Stages for Fake {
     }
 
     fn reconstruct(&self, cell: &Cell, sequence: &Path, prediction: &Path, _: &dyn Progress) -> Result<()> {
-        let seen = files::read_text(&sequence.join("second"))?;
+        // A method that sees what a failing disk did to the film, and others that need it once more at their end.
+        let path = sequence.join("second");
+        let seen = files::read_text(&path)?;
+        if cell.method == "ours" && !seen.starts_with("case") {
+            return Err(Error::input("is not the file that was filmed").at(path));
+        }
         files::write_bytes(&prediction.join("color/000000.png"), seen.as_bytes())?;
         self.call(format!("reconstruct {}", cell.id()), &prediction.join("phase.csv"))?;
+        files::read_text(&sequence.join("first"))?;
         files::write_bytes(&prediction.join("phase.csv"), cell.id().as_bytes())
     }
 
@@ -212,6 +218,36 @@ fn damage_is_noticed_and_mended() {
     assert_eq!(fake.log(), ["reconstruct case1-static-ct-s1", "score case1-static-ct-s1", "film case2"]);
     assert_eq!(events.iter().filter(|e| e.contains("not what they were")).count(), 2);
     assert_eq!(picture(folder.path(), &cells.unwrap()), before);
+}
+
+/// Cells that read a film while another one finds it damaged, and has it removed and made again.
+#[test]
+fn a_film_that_is_made_again_under_its_readers_costs_none_of_them() {
+    let whole = tempfile::tempdir().unwrap();
+    let plan = small_plan();
+    run(whole.path(), &plan, &Fake::default(), Freshness::Resume).0.unwrap();
+    for (lanes, processes) in [(1, 1), (2, 1), (4, 1), (1, 2), (1, 3)] {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let cells = run(root, &plan, &Fake::default(), Freshness::Resume).0.unwrap();
+        std::fs::remove_dir_all(root.join("cells")).unwrap();
+        // A failing disk changes neither size nor time.
+        let rotten = cells[0].sequence.join("second");
+        let written = rotten.metadata().unwrap().modified().unwrap();
+        std::fs::write(&rotten, "Case1").unwrap();
+        std::fs::File::open(&rotten).unwrap().set_modified(written).unwrap();
+        let fake = Fake { pause: Duration::from_millis(20), ..Fake::default() };
+        let store = Store::open(root).unwrap();
+        let one = || execute_at_once(&plan, &fake, &store, lanes, &Events::default()).unwrap();
+        std::thread::scope(|scope| {
+            for run in (0..processes).map(|_| scope.spawn(one)).collect::<Vec<_>>() {
+                let cells = run.join().unwrap();
+                let failed: Vec<_> = cells.iter().filter_map(|cell| cell.failure.as_ref()).collect();
+                assert!(failed.is_empty(), "{lanes} lanes, {processes} processes: {failed:?}");
+            }
+        });
+        assert_eq!(fake.log().iter().filter(|call| *call == "film case1").count(), 1);
+    }
 }
 
 #[test]

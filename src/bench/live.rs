@@ -412,8 +412,13 @@ impl FolderNames {
             }
             if start.elapsed() >= patience {
                 if let Some(path) = gap {
-                    let sentence =
-                        format!("has come, and picture {} has not, so that its pose would be another's", self.count);
+                    let wanted = self.count;
+                    let is_there =
+                        files::names_in(folder)?.iter().any(|name| number_of(Path::new(name)) == Some(wanted));
+                    let sentence = match is_there {
+                        true => format!("comes before picture {wanted} by its name: numbers need leading zeros"),
+                        false => format!("has come, and picture {wanted} has not, so that its pose would be another's"),
+                    };
                     return Err(Error::input(sentence).at(path));
                 }
                 return damaged.map_or(Ok(None), Err);

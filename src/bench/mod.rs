@@ -34,5 +34,5 @@ pub use pipeline::{Pipeline, SeededMethod, Wishes, reconstruct_folder};
 pub use plan::{Cell, Plan, Planned};
 pub use profile::Profile;
 pub use stages::Stages;
-pub use store::Store;
+pub use store::{Store, Unusable};
 pub use variant::{Ablations, Variant};

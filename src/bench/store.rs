@@ -51,6 +51,18 @@ pub enum ProductState {
     Damaged,
 }
 
+/// What came of a product that somebody could not use.
+#[derive(Debug)]
+pub enum Unusable {
+    /// It is whole, or nothing can be read there at the moment: something else is wrong.
+    Whole,
+    /// The product is no longer there: removed now, since its files are not those that were finished, or by another
+    /// process before.
+    Removed(PathBuf),
+    /// Another process works on it.
+    Held(claim::Holder),
+}
+
 /// How closely a product's files are looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scrutiny {
@@ -190,23 +202,43 @@ impl Store {
         state_of(&self.path(product), key, scrutiny)
     }
 
+    /// The folder of the product in which `path` lies, if its files are not those that were finished.
+    pub fn damaged(&self, path: &Path) -> Option<PathBuf> {
+        let place = self.product_of(path).map(|product| self.path(&product))?;
+        is_damaged(&place).then_some(place)
+    }
+
     /// Removes the product in which `path` lies, for whoever could not use that file, if its files are not those that were
-    /// finished. Gives the product's folder; `None` where it is whole, another process works on it, or nothing can be
-    /// read there at the moment.
+    /// finished.
     ///
     /// Errors: a folder that cannot be removed.
-    pub fn discard_damaged(&self, path: &Path) -> Result<Option<PathBuf>> {
-        let names: Vec<&str> = path.strip_prefix(&self.root).into_iter().flatten().filter_map(OsStr::to_str).collect();
-        let [kind, work, product, ..] = names[..] else { return Ok(None) };
-        let (work, place) = (format!("{kind}/{work}"), self.root.join(kind).join(work).join(product));
-        let Ok(marker) = files::read_json::<FinishMarker>(&place.join(MARKER)) else { return Ok(None) };
-        if hash_of_files(&place).map_or(true, |found| found == marker.outputs) {
-            return Ok(None);
+    pub fn discard_damaged(&self, path: &Path) -> Result<Unusable> {
+        let Some(product) = self.product_of(path) else { return Ok(Unusable::Whole) };
+        let place = self.path(&product);
+        // Known before the files are read: what is made again meanwhile is another one.
+        let Some(finish) = self.finish(&product) else { return Ok(Unusable::Removed(place)) };
+        if !is_damaged(&place) {
+            return Ok(Unusable::Whole);
         }
-        let Ok(claimed) = self.claim(&work, &[])? else { return Ok(None) };
-        claimed.discard(product)?;
+        let (work, name) = product.rsplit_once('/').unwrap_or_default();
+        let claimed = match self.claim(work, &[])? {
+            Ok(claimed) => claimed,
+            Err(holder) => return Ok(Unusable::Held(holder)),
+        };
+        if self.finish(&product) == Some(finish) {
+            claimed.discard(name)?;
+        }
         claimed.release()?;
-        Ok(Some(place))
+        Ok(Unusable::Removed(place))
+    }
+
+    /// The product in which `path` lies. What is being made is none.
+    fn product_of(&self, path: &Path) -> Option<String> {
+        let names: Vec<&str> = path.strip_prefix(&self.root).into_iter().flatten().filter_map(OsStr::to_str).collect();
+        match names[..] {
+            [kind, work, product, ..] if !product.starts_with('.') => Some(format!("{kind}/{work}/{product}")),
+            _ => None,
+        }
     }
 
     /// Which finish of a product this is: another one after it was made again, whatever any clock says. `None` where it
@@ -240,6 +272,12 @@ impl Store {
             false => self.claim(work, &[])?.map_or(Ok(()), Work::release),
         }
     }
+}
+
+/// Whether a finished product's files can be read, and are not those that were finished.
+fn is_damaged(place: &Path) -> bool {
+    let marker = files::read_json::<FinishMarker>(&place.join(MARKER));
+    marker.is_ok_and(|marker| hash_of_files(place).is_ok_and(|found| found != marker.outputs))
 }
 
 /// Errors: a marker or a file that is there and cannot be read: what a bad moment of the disk hides is not damaged.
@@ -277,8 +315,12 @@ pub fn hash_of_files(path: &Path) -> Result<String> {
         return hash::of_file(path);
     }
     let found = list_files(path)?;
-    // A pipe would never end.
-    let hash_of = |file: &PathBuf| if file.is_file() { hash::of_file(file) } else { Ok("no file".to_owned()) };
+    // A pipe would never end, and a link may lead nowhere. What cannot be looked at is an error and no other content.
+    let hash_of = |file: &PathBuf| match file.metadata() {
+        Ok(data) if data.is_file() => hash::of_file(file),
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("reading", file, e)),
+        _ => Ok("no file".to_owned()),
+    };
     let hashes: Vec<String> = found.par_iter().map(hash_of).collect::<Result<_>>()?;
     hash::of_value(&names(path, &found).zip(hashes).collect::<Vec<_>>())
 }
@@ -373,14 +415,22 @@ mod tests {
         make(&work, "score", "key");
         work.release().unwrap();
         let (rotten, store) = (store.path("cells/b/score/x.png"), Store::look(folder.path()));
-        assert_eq!(store.discard_damaged(&rotten).unwrap(), None, "it is whole");
+        let discarded = |path: &Path| store.discard_damaged(path).unwrap();
+        assert!(matches!(discarded(&rotten), Unusable::Whole) && store.damaged(&rotten).is_none());
         let written = rotten.metadata().unwrap().modified().unwrap();
         fs::write(&rotten, "7").unwrap();
         File::open(&rotten).unwrap().set_modified(written).unwrap();
         let states = [Scrutiny::Listing, Scrutiny::Content].map(|by| store.state("cells/b/score", "key", by).unwrap());
         assert_eq!(states, [ProductState::Whole, ProductState::Damaged]);
-        assert_eq!(store.discard_damaged(&folder.path().join("cells/b")).unwrap(), None, "no product");
-        assert_eq!(store.discard_damaged(&rotten).unwrap(), Some(store.path("cells/b/score")));
+        assert!(matches!(discarded(&store.path("cells/b")), Unusable::Whole), "no product");
+        assert!(matches!(discarded(&store.path("cells/b/.making-score-1/x")), Unusable::Whole), "no product yet");
+        let place = store.path("cells/b/score");
+        assert_eq!(store.damaged(&rotten), Some(place.clone()));
+        let other = claimed(&Store::look(folder.path()), "cells/b");
+        assert!(matches!(discarded(&rotten), Unusable::Held(_)) && rotten.exists(), "another one works on it");
+        other.release().unwrap();
+        assert!(matches!(discarded(&rotten), Unusable::Removed(removed) if removed == place));
+        assert!(matches!(discarded(&rotten), Unusable::Removed(removed) if removed == place), "gone before");
         assert_eq!(store.state("cells/b/score", "key", Scrutiny::Listing).unwrap(), ProductState::Absent);
         assert_eq!(state("key"), ProductState::Whole);
         fs::write(file(MARKER), "{").unwrap();

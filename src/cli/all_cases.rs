@@ -10,7 +10,7 @@ use crate::base::estimate::Estimate;
 use crate::base::{Error, ErrorKind, Progress, Result, files, hash};
 use crate::bench::claim::{Asked, Claim, Claims};
 use crate::bench::{
-    Environment, FinishedCell, Freshness, Pipeline, Plan, Store, execute, finished, is_filmed, is_finished,
+    Environment, FinishedCell, Freshness, Pipeline, Plan, Store, Unusable, execute, finished, is_filmed, is_finished,
 };
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
@@ -122,7 +122,7 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
         if arguments.cells_only {
             terminal.finish();
         } else {
-            let of_cache = |e: Error| unless_damaged(&Store::look(arguments.cache.path()), e);
+            let of_cache = |e: Error| unless_damaged(&Store::look(arguments.cache.path()), arguments.report_only, e);
             report(&folder, run, &finished, reports.as_mut(), terminal).or_else(of_cache)?;
             // The report is there, and so will be that of the next track: not every file system has links.
             point_latest(&arguments.out, &name).unwrap_or_else(|error| terminal.note(&error.to_string()));
@@ -138,15 +138,20 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
     Err(Error::new(ErrorKind::CellFailed, sentence))
 }
 
-/// What keeps a report from being written: what it says, or a product of the cache that was damaged since it was made,
-/// which is removed so that the next run makes it again.
-fn unless_damaged(store: &Store, error: Error) -> Result<()> {
-    match error.path().map(|path| store.discard_damaged(path)).transpose()?.flatten() {
-        Some(place) => {
+/// What keeps a report from being written: what it says, or a product of the cache that was damaged since it was made. It is
+/// removed so that the next run makes it again, but by a run that only reads.
+fn unless_damaged(store: &Store, report_only: bool, error: Error) -> Result<()> {
+    let Some(path) = error.path() else { return Err(error) };
+    if report_only {
+        let sentence = "was damaged in the cache: the same command without --report-only makes it again";
+        return Err(store.damaged(path).map_or(error.clone(), |place| Error::input(sentence).at(place)));
+    }
+    match store.discard_damaged(path) {
+        Ok(Unusable::Removed(place)) => {
             let sentence = "was damaged in the cache and is removed now: the same command makes it again";
             Err(Error::input(sentence).at(place))
         }
-        None => Err(error),
+        _ => Err(error),
     }
 }
 

@@ -103,13 +103,16 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
 
 /// The first baseline of the same films as the results; where there is none the first one, which the gate then refuses.
 fn chosen<'a>(results: &Results, folders: &'a [PathBuf]) -> Result<Option<(Results, &'a Path)>> {
-    let mut first = None;
+    let mut first: Option<(Results, &Path)> = None;
     for folder in folders {
         let baseline = read::read(folder)?;
         if results.is_of_films_of(&baseline) {
             return Ok(Some((baseline, folder)));
         }
-        first = first.or(Some((baseline, folder.as_path())));
+        // One of the same track has what can be compared.
+        if first.as_ref().is_none_or(|(first, _)| first.track != results.track && baseline.track == results.track) {
+            first = Some((baseline, folder.as_path()));
+        }
     }
     Ok(first)
 }

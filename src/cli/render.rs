@@ -56,7 +56,7 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
     if arguments.out.exists() && !arguments.out.is_dir() {
         return Err(Error::input("is no folder").element("--out").at(&arguments.out));
     }
-    prediction::demand_none_in(&arguments.out)?;
+    prediction::refuse_timing_in(&arguments.out)?;
     let file = SceneFile::load(&arguments.scene)?;
     let (camera, pose) = (file.camera.intrinsics()?, file.camera.pose()?);
     let (scene, build) = measure(|| file.build());

@@ -1,7 +1,7 @@
 //! `respire-bench slurm`: the main job as a Slurm job array.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
@@ -139,6 +139,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         common,
         work,
         everything,
+        started_in: absolute_path(Path::new("."))?,
         folder: scripts,
         processors: arguments.processors,
         at_once: arguments.at_once,

@@ -225,7 +225,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         contributors: arguments.contributors,
         features: arguments.channels.as_deref().map(|path| Features::read(path, &cloud)).transpose()?,
     };
-    prediction::demand_none_in(&output.folder)?;
+    prediction::refuse_timing_in(&output.folder)?;
     output.check_replaceable()?;
     let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, KernelChoice::isa))?;
     rasterizer.measure_cpu();

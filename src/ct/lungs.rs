@@ -143,14 +143,14 @@ pub fn check_pair(full: f64, empty: f64) -> Result<f64> {
 /// Refuses a pair whose lungs lie so far apart that no breath is the reason: a registration would look for minutes and not
 /// find them.
 pub fn check_place(full: &Volume<u8>, empty: &Volume<u8>) -> Result<()> {
-    let away = middle(empty) - middle(full);
+    let away = between_middles(full, empty);
     if away.length() <= MIDDLE_MOVES_MM {
         return Ok(());
     }
     Err(Error::input(format!(
         "the lungs lie {:.0} mm from those of the first scan ({:.0} {:.0} {:.0}: left, back, head), and breathing moves \
          their middle by {MIDDLE_MOVES_MM} mm at most: the patient or the table was moved between the scans, or one of the \
-         headers does not say where its scan lies",
+         headers does not say where its scan lies; --unusual takes them as they are",
         away.length(),
         away.x,
         away.y,
@@ -158,11 +158,37 @@ pub fn check_place(full: &Volume<u8>, empty: &Volume<u8>) -> Result<()> {
     )))
 }
 
-/// The middle of a mask that has a voxel.
-fn middle(mask: &Volume<u8>) -> DVec3 {
+/// From the middle of the full lungs to that of the empty ones. Where a scan ends within the lungs, over the heights that
+/// both scans show, if there are any.
+fn between_middles(full: &Volume<u8>, empty: &Volume<u8>) -> DVec3 {
+    let all = [f64::NEG_INFINITY, f64::INFINITY];
+    let [a, b] = [full, empty].map(heights_mm);
+    let shown = if is_cut(full) || is_cut(empty) { [a[0].max(b[0]), a[1].min(b[1])] } else { all };
+    let way = |heights| Some(middle(empty, heights)? - middle(full, heights)?);
+    way(shown).or_else(|| way(all)).unwrap_or_default()
+}
+
+/// Whether a mask reaches the first or the last slice.
+fn is_cut(mask: &Volume<u8>) -> bool {
+    let slice = mask.grid.size[0] * mask.grid.size[1];
+    let of = |part: &[u8]| part.iter().any(|v| *v > 0);
+    of(&mask.data[..slice]) || of(&mask.data[mask.data.len() - slice..])
+}
+
+/// The lowest and the highest place of a grid.
+fn heights_mm(volume: &Volume<u8>) -> [f64; 2] {
+    let last = volume.grid.size.map(|n| n.saturating_sub(1));
+    let corner = |k: usize| std::array::from_fn(|axis| if k >> axis & 1 == 1 { last[axis] } else { 0 });
+    let heights = (0..8).map(|k| volume.grid.centre(volume.grid.at(corner(k))).z);
+    heights.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], z| [low.min(z), high.max(z)])
+}
+
+/// The middle of what a mask marks at these heights.
+fn middle(mask: &Volume<u8>, [low, high]: [f64; 2]) -> Option<DVec3> {
     let places = (0..mask.data.len()).filter(|&at| mask.data[at] > 0).map(|at| mask.grid.centre(at));
-    let (sum, count) = places.fold((DVec3::ZERO, 0), |(sum, count), place| (sum + place, count + 1));
-    sum / f64::from(count.max(1))
+    let shown = places.filter(|place| (low..=high).contains(&place.z));
+    let (sum, count) = shown.fold((DVec3::ZERO, 0), |(sum, count), place| (sum + place, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
 }
 
 #[cfg(test)]
@@ -197,6 +223,16 @@ mod tests {
         moved.grid.origin_mm += DVec3::new(0.0, 8.0, -100.0);
         let said = check_place(&full, &moved).unwrap_err().to_string();
         assert!(said.contains("lie 100 mm from") && said.contains("0 8 -100: left, back, head"), "{said}");
+        // A scan that ends in the middle of the chest shows the same lungs.
+        let upper = |whole: &Volume<u8>| {
+            let (mut grid, from) = (whole.grid, whole.grid.at([0, 0, 30]));
+            grid.origin_mm.z += 30.0 * 4.0;
+            grid.size[2] = 30;
+            Volume { grid, data: whole.data[from..].to_vec() }
+        };
+        let away = between_middles(&full, &upper(&empty));
+        assert!(away.length() < 10.0 && between_middles(&upper(&full), &empty).length() < 10.0, "{away}");
+        assert!(check_place(&upper(&full), &upper(&moved)).is_err());
         // A table below the back, a mattress between the two: foam in a shell that is closed at its ends.
         let mut table = chest(55.0);
         for at in 0..table.data.len() {

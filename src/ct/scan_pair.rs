@@ -31,12 +31,12 @@ const LEAST_AIR: f64 = 0.93;
 const FEWEST_INSIDE: usize = 50;
 /// By how much larger that share must be for a mask that is mirrored: a straight tube is its own mirror image.
 const LEAST_GAIN: f64 = 0.01;
-/// Axes of a mask's voxels that a header may have the wrong way round, and what the mask is then.
+/// Axes of a mask (left, back, head) that a header may have the wrong way round, and what the mask is then.
 const TURNED_ROUND: [([bool; 3], &str); 4] = [
-    ([true, false, false], "mirrored along its first axis"),
-    ([false, true, false], "mirrored along its second axis"),
-    ([false, false, true], "mirrored along its third axis"),
-    ([true, true, false], "turned by half around its third axis"),
+    ([true, false, false], "mirrored left to right"),
+    ([false, true, false], "mirrored front to back"),
+    ([false, false, true], "mirrored head to foot"),
+    ([true, true, false], "turned by half around the axis of the body"),
 ];
 
 /// The files of an import.
@@ -421,6 +421,6 @@ mod tests {
         let mask = |side: f64| Volume { grid, data: of(side).map(u8::from).collect() };
         check_mask(&mask(1.0), &scan).unwrap();
         let said = check_mask(&mask(-1.0), &scan).unwrap_err().to_string();
-        assert!(said.contains("and 100.0 % once it is mirrored along its first axis"), "{said}");
+        assert!(said.contains("and 100.0 % once it is mirrored left to right"), "{said}");
     }
 }

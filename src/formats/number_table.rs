@@ -39,6 +39,15 @@ impl<const N: usize> NumberRow<N> {
 /// Errors name the line and the column: a name that is missing or there twice, a row with more or fewer fields than
 /// names, a field that is no number or out of range.
 pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Vec<NumberRow<N>>> {
+    rows_where(bytes, columns, |_| true)
+}
+
+/// [`rows`], of those alone that are `wanted` by their place from 0: in the others anything may stand.
+pub fn rows_where<const N: usize>(
+    bytes: &[u8],
+    columns: [Column<'_>; N],
+    wanted: impl Fn(usize) -> bool,
+) -> Result<Vec<NumberRow<N>>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
     let mut places = [0; N];
@@ -47,11 +56,14 @@ pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Ve
         *place = place_of(name, &header, &names)?;
     }
     let mut rows = Vec::new();
-    for record in reader.records() {
+    for (place, record) in reader.records().enumerate() {
         let record = record.map_err(|e| {
             let line = line_of(bytes, e.position());
             Error::input(e.to_string()).element(format!("line {line}"))
         })?;
+        if !wanted(place) {
+            continue;
+        }
         let line = line_of(bytes, record.position());
         let mut numbers = [0.0; N];
         for ((number, place), (name, range)) in numbers.iter_mut().zip(places).zip(columns) {

@@ -155,7 +155,16 @@ fn half_space_albedo(a: f64) -> f64 {
     (1.0 - s) * (1.0 - 0.139 * s) / (1.0 + 1.17 * s)
 }
 
+/// Albedo up to which light between walls hardly goes on beyond four bounces. As in `from_lamp_side` of
+/// `cpp/trace/wall_material.h`.
+const DARK_ALBEDO: f64 = 0.65;
+
 impl Material {
+    /// Whether no channel's albedo is above .65: light between such walls is found with less work.
+    pub fn is_dark(&self) -> bool {
+        self.albedo.iter().all(|&albedo| albedo <= DARK_ALBEDO)
+    }
+
     /// A Lambert wall.
     pub fn lambert(albedo: [f64; 3]) -> Self {
         Material { kind: MaterialKind::Lambert, albedo, ..Material::default() }

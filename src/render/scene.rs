@@ -21,6 +21,8 @@ pub struct Scene {
     pub(super) progress: f64,
     /// An index-matched boundary.
     matched: bool,
+    /// See [`Material::is_dark`].
+    pub(super) is_dark: bool,
 }
 
 impl Scene {
@@ -51,6 +53,7 @@ impl Scene {
             tissue,
             progress: 0.0,
             matched: settings.subsurface == SubsurfaceKind::Matched,
+            is_dark: material.is_dark(),
         })
     }
 

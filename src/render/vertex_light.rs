@@ -5,8 +5,8 @@
 //! base, the coat's glare, colour, edges) stays with the camera's samples. Recipe per frame:
 //!
 //! 1. The faces around the visible vertices each send some rays after the cosine law; the faces that these hit send
-//!    fewer, and so on for [`DEPTH`] generations: the cost follows what is visible, not the size of the tree. Which
-//!    faces hit which is found once at each end of the breath (`tissue.rs`) and weighted by the phase.
+//!    fewer, and so on for [`DEPTH`] generations: the cost follows what is visible, not the size of the tree; of bright
+//!    walls, for as long as there are new faces. Which faces hit which is found once at each end of the breath (`tissue.rs`) and weighted by the phase.
 //! 2. Every face that a ray meets gets the lamp's irradiance in closed form (one shadow ray).
 //! 3. Jacobi steps of `E = G (sent + R E)` along the recorded rays: all bounces, or as many as were asked for.
 //! 4. Vertices take the mean of the faces around them; with light in the wall also their rows of `tissue.rs`.
@@ -27,7 +27,7 @@ use super::tissue::WalkedVertex;
 use crate::base::{Error, Result};
 use crate::ffi::trace::tracer::{FaceLight, FacePlace, FrameSettings, Glint, KnownLight, NO_FACE, ScatterExit};
 
-/// Generations of faces that send rays.
+/// Generations of faces that send rays between dark walls.
 const DEPTH: usize = 4;
 /// Divisor of the rays per face in the generations after the first.
 const LATER_PART: u32 = 2;
@@ -184,8 +184,11 @@ fn gather(
 ) -> Result<Vec<Generation>> {
     let mut generations: Vec<Generation> = Vec::new();
     let mut first = 0;
-    for depth in 0..DEPTH {
+    for depth in 0..if scene.is_dark { DEPTH } else { usize::MAX } {
         let end = faces.list.len();
+        if first == end {
+            break;
+        }
         let per_face = if depth == 0 { rays_per_face } else { rays_per_face.div_ceil(LATER_PART) } as usize;
         let met = |chunk: &[u32]| -> Result<(Vec<u32>, u64)> {
             let mut rays = 0;
@@ -287,7 +290,7 @@ fn solve(
             .zip(lamp)
             .map(|(e, face)| Sent {
                 base: std::array::from_fn(|c| face.sent[c] + face.reflectance[c] * e[c]),
-                coat: std::array::from_fn(|c| face.mirrored_lamp * face.irradiance[c] + face.mirrored_other * e[c]),
+                coat: std::array::from_fn(|c| face.mirrored_lamp * face.irradiance[c] + face.mirrored_other[c] * e[c]),
             })
             .collect();
         irradiance = step(frame, generations, &sent);

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::compare::{Change, compare, only_in_first};
 use super::gate::{Check, Thresholds, Verdict, judge, read_thresholds, with_limits_of};
 use super::gate_limits::{LimitSource, limits_from, write_limits};
-use super::read::{Results, read};
+use super::read::{CaseFacts, Results, read};
 use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run};
 use super::{gate_files, report_tests, tables};
 use crate::base::image::Image;
@@ -182,6 +182,12 @@ fn what_is_missing_fails_and_what_is_new_is_noted() {
     ] {
         assert!(!good.is_of_films_of(&other) && !other.is_of_films_of(&good));
     }
+    // A case in which everything failed has no film, and keeps no other from telling.
+    let failed = altered(&|r| {
+        r.facts.insert("case7".to_owned(), CaseFacts { film_contents: [].into(), ..r.facts["case1"].clone() });
+    });
+    let with_it = altered(&|r| drop(r.facts.insert("case7".to_owned(), r.facts["case1"].clone())));
+    assert!(failed.is_of_films_of(&with_it) && !with_it.is_of_films_of(&failed));
     // Words that this program writes nowhere.
     for (status, words) in [("bogus", "`bogus` is no status"), ("not_applicable", "the status says `not_applicable`")] {
         let mut results = good.clone();

@@ -199,12 +199,15 @@ impl Results {
         self.facts.keys().map(String::as_str).filter(|case| self.has_other_film(other, case)).collect()
     }
 
-    /// Whether both are of one track and have cases in common, all of which are known to be the same films.
+    /// Whether both are of one track and have cases in common, all of which are known to be the same films; a case of this
+    /// one that has no film, since all in it failed, is passed over.
     pub fn is_of_films_of(&self, other: &Results) -> bool {
         let film = |results: &Results, case: &String| {
             results.facts.get(case).and_then(|facts| facts.film().map(str::to_owned))
         };
-        let mut common = self.facts.keys().filter(|case| other.facts.contains_key(*case)).peekable();
+        let is_filmed = |case: &&String| self.facts.get(*case).is_some_and(|facts| !facts.film_contents.is_empty());
+        let is_common = |case: &&String| other.facts.contains_key(*case) && is_filmed(case);
+        let mut common = self.facts.keys().filter(is_common).peekable();
         let is_same = |case: &String| film(self, case).is_some_and(|own| Some(own) == film(other, case));
         self.track == other.track && common.peek().is_some() && common.all(is_same)
     }

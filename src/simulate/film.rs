@@ -27,8 +27,7 @@ const LEAST_CLEARANCE: f64 = 0.9;
 const END_TOLERANCE: f64 = 0.01;
 /// Share of the values that the automatic exposure may expect to clip, in the middle frame.
 const MOST_CLIPPED: f64 = 0.25;
-/// Largest albedo of a wall whose light, thrown back and forth, a film follows but for a per cent or two; looks have up to
-/// .64, with half a per cent.
+/// Largest albedo of a wall of which nothing is said; looks have up to .64.
 const MOST_ALBEDO: f64 = 0.9;
 /// On the clinical track the lumen moves otherwise than when it was measured: this part of the room is used.
 const CLINICAL_ROOM: f64 = 0.85;
@@ -489,13 +488,13 @@ fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f6
     Ok(visible.image_motion_px(camera, (&open.0, open.1), (&close.0, close.1)))
 }
 
-/// What is said of walls so bright that light goes on between them for longer than a film follows it.
+/// What is said of walls so bright that light is thrown back and forth between them: the exposure's proxy knows one bounce.
 fn bright_wall_note(material: &Material) -> Option<String> {
     let most = material.albedo.into_iter().fold(0.0, f64::max);
     (most > MOST_ALBEDO).then(|| {
         format!(
-            "walls of albedo {most} send light on for longer than a film follows it: above {MOST_ALBEDO} pictures are too dark \
-             by some per cent (up to 9 at .99, 21 at 1), and the exposure expects less light than there is"
+            "walls of albedo {most} throw back more light than the exposure expects: above {MOST_ALBEDO} the film comes out \
+             brighter than exposure.target"
         )
     })
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::material;
 use super::settings::SimulationSettings;
 use crate::airway::case::Case;
 use crate::base::revision::of_rooms;
@@ -11,6 +12,8 @@ use crate::base::{Result, hash};
 const IDEAL_VERSION: u32 = 11;
 /// The same for the clinical track.
 const CLINICAL_VERSION: u32 = 12;
+/// The same where a wall is not dark ([`Material::is_dark`]), on both tracks: what changed last is their light alone.
+const BRIGHT_VERSION: u32 = 13;
 
 /// Revision of the code that films a sequence.
 pub fn revision() -> String {
@@ -19,7 +22,11 @@ pub fn revision() -> String {
 
 /// Version of what films `case`.
 pub(super) fn simulator_version(case: &Case) -> u32 {
-    if case.clinical.is_some() { CLINICAL_VERSION } else { IDEAL_VERSION }
+    match material(case) {
+        Ok(material) if !material.is_dark() => BRIGHT_VERSION,
+        _ if case.clinical.is_some() => CLINICAL_VERSION,
+        _ => IDEAL_VERSION,
+    }
 }
 
 /// Content hash of the sequence that `case` and `settings` make, 64 hex digits.

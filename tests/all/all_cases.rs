@@ -161,6 +161,9 @@ fn the_same_bytes_on_one_thread_on_two_and_after_kills() {
     let err = killed.run(&[]);
     assert!(err.contains("its files are not what they were") && killed.latest("results.csv") == results, "{err}");
     rot("film/images/000000.png");
+    // Who only reads removes nothing.
+    let (code, _, err) = outcome(killed.command(&["--report-only"]).output().unwrap());
+    assert!(code == 4 && err.contains("/film: was damaged in the cache: the same command without"), "{code} {err}");
     let (code, _, err) = outcome(killed.command(&[]).output().unwrap());
     assert!(code == 4 && err.contains("/film: was damaged in the cache and is removed now"), "{code} {err}");
     let err = killed.run(&[]);

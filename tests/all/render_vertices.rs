@@ -111,6 +111,24 @@ fn gathered_light_agrees_with_paths_on_a_breathing_shape() {
     }
 }
 
+/// A little error of each bounce adds up between bright walls.
+#[test]
+fn light_between_bright_coated_walls_agrees_with_paths() {
+    let scene = Scene::new(&small_tube(), &[], Material::coated([0.97, 0.9, 0.75], 0.15, 1.4), 1).unwrap();
+    let camera = Camera::pinhole(24, 24, 1.6);
+    let pose = DAffine3::from_translation(DVec3::new(0.3, 0.0, 15.0));
+    let picture = |settings: &RenderSettings| {
+        mean(&render(&scene, &camera, &pose, &Light::at_camera([100.0; 3]), settings).unwrap().radiance)
+    };
+    let paths = picture(&RenderSettings { samples_per_pixel: 512, seed: 11, ..RenderSettings::default() });
+    for (transport, found) in [("vertices", picture(&vertices(32, 64))), ("gather", picture(&gather(32)))] {
+        for c in 0..3 {
+            println!("{transport}, channel {c}: {:+.4}", found[c] / paths[c] - 1.0);
+            assert!((found[c] / paths[c] - 1.0).abs() < [0.03, 0.015, 0.01][c], "{transport}: {found:?} for {paths:?}");
+        }
+    }
+}
+
 /// Mean squared relative error of `image` against the mean of two independent noisy images, free of their noise.
 fn error_without_noise(image: &Image<f32>, a: &Image<f32>, b: &Image<f32>) -> f64 {
     let term = |((&x, &a), &b): ((&f32, &f32), &f32)| {

@@ -139,7 +139,14 @@ fn live_answers_are_those_of_the_whole_run_wherever_pictures_come_from() {
     refused(place.piped(&[], &["--raw"]), 4, &["standard input: no picture came"]);
     fs::create_dir(place.path("dark")).unwrap();
     let dark = place.text("dark");
-    refused(place.track(&["--images", &dark, "--patience-s", "0.2"]), 4, &["dark: no picture appeared in it"]);
+    let in_dark = ["--images", &dark, "--patience-s", "0.2"];
+    refused(place.track(&in_dark), 4, &["dark: no picture appeared in it"]);
+    // By name, 10 stands before 2.
+    for name in ["0", "1", "10", "2"] {
+        fs::copy(place.image(0), place.path(&format!("dark/{name}.png"))).unwrap();
+    }
+    let (code, _, err) = place.track(&in_dark);
+    assert!(code == 4 && err.contains("dark/10.png: comes before picture 2 by its name"), "{code} {err}");
     refused(place.track(&["--method", "ours"]), 2, &["`ours` takes whole films"]);
     fs::write(place.path("poses"), "{}\n").unwrap();
     refused(place.track(&["--poses", &place.text("poses")]), 4, &["poses", "line 1", "is no pose"]);

@@ -206,7 +206,7 @@ mod bridge {
         /// What the coat mirrors of the lamp's irradiance, over [`Glint::coat`].
         mirrored_lamp: f32,
         /// The same of other light.
-        mirrored_other: f32,
+        mirrored_other: [f32; 3],
         /// The lamp's irradiance without shadows.
         unshadowed: [f32; 3],
         /// The face is so near the lamp that its light is not even over it.
