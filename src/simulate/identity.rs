@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::material;
+use super::look::material;
 use super::settings::SimulationSettings;
 use crate::airway::case::Case;
 use crate::base::revision::of_rooms;

@@ -6,6 +6,7 @@ pub mod exposure;
 pub mod film;
 mod film_tables;
 mod identity;
+mod look;
 mod misregister;
 mod novel_view;
 pub mod participant;
@@ -31,11 +32,11 @@ use crate::airway::{self, Anatomy, case_centerline};
 use crate::base::{Error, Progress, Result, files, hash};
 use crate::formats::transforms::Transforms;
 use crate::formats::{mesh as mesh_file, png};
-use crate::render::Material;
 use film::Film;
 pub use film::scope_light;
 use identity::{film_hash, simulator_version};
 pub use identity::{revision, sequence_folder, sequence_hash};
+pub use look::material;
 use misregister::misregister;
 use sensor::Sensor;
 use sequence::{ManifestHead, NovelView, Sequence};
@@ -104,18 +105,6 @@ fn finished(
             .note(&format!("{}: {again} frames were changed since they were filmed; they are filmed again", case.id));
     }
     Ok(None)
-}
-
-/// The look that the case file asks for.
-pub fn material(case: &Case) -> Result<Material> {
-    let material: Material = case
-        .material
-        .clone()
-        .try_into()
-        .map_err(|e| Error::input(e.to_string().trim_end().replace('\n', " ")).element("material"))?;
-    let material = material.as_given(&case.material)?;
-    material.validate()?;
-    Ok(material)
 }
 
 /// What a folder holds before a film is made in it.
