@@ -12,7 +12,7 @@ use crate::base::{Result, hash};
 const IDEAL_VERSION: u32 = 11;
 /// The same for the clinical track.
 const CLINICAL_VERSION: u32 = 12;
-/// The same where a wall is not dark ([`Material::is_dark`]), on both tracks: what changed last is their light alone.
+/// The same where a wall is not dark (`Material::is_dark`), on both tracks: what changed last is their light alone.
 const BRIGHT_VERSION: u32 = 13;
 
 /// Revision of the code that films a sequence.
