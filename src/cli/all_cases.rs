@@ -139,7 +139,7 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
 }
 
 /// What keeps a report from being written: what it says, or a product of the cache that was damaged since it was made. It is
-/// removed so that the next run makes it again, but by a run that only reads.
+/// removed, so that the next run makes it again; a run that only reads leaves it there.
 fn unless_damaged(store: &Store, report_only: bool, error: Error) -> Result<()> {
     let Some(path) = error.path() else { return Err(error) };
     if report_only {
