@@ -1,7 +1,9 @@
 //! Counter-based randomness: every number is a pure function of (seed, stage, keys, counter), so that the same seed
 //! gives the same bytes on any number of threads, in one go or resumed.
 //!
-//! Mixing: the finaliser of SplitMix64 (Steele et al., OOPSLA 2014), applied once per key.
+//! Mixing: the finaliser of SplitMix64 (Steele et al., OOPSLA 2014), applied once per key. It can be inverted: whoever knows
+//! a number to its last bits, such as a second camera's place, can go back to what the mixing began with. That is a hash of
+//! seed and stage that cannot be inverted (BLAKE3), wherever the seed is too long to be found by trying.
 
 /// What the random numbers are for; two stages never share a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +43,20 @@ pub enum Stage {
     Test = 99,
 }
 
+/// Shorter seeds are found by trying all of them, so that no hash could hide them: their streams stay what they were.
+const FOUND_BY_TRYING: u32 = 32;
+
+/// What the streams of a stage begin with.
+fn stage_key(seed: u64, stage: Stage) -> u64 {
+    if seed >> FOUND_BY_TRYING == 0 {
+        return mix(mix(seed ^ 0x9e37_79b9_7f4a_7c15) ^ (stage as u64).wrapping_mul(0xd1b5_4a32_d192_ed03));
+    }
+    let mut hasher = blake3::Hasher::new_derive_key("respire-bench 2026-11-29 random numbers of a stage");
+    hasher.update(&seed.to_le_bytes()).update(&(stage as u64).to_le_bytes());
+    let hash = hasher.finalize();
+    u64::from_le_bytes(std::array::from_fn(|k| hash.as_bytes()[k]))
+}
+
 fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -57,8 +73,7 @@ pub struct CounterRng {
 impl CounterRng {
     /// The stream of `seed` at `stage` for `keys` (frame, pixel, sample, ...).
     pub fn new(seed: u64, stage: Stage, keys: &[u64]) -> Self {
-        let mut key = mix(seed ^ 0x9e37_79b9_7f4a_7c15);
-        key = mix(key ^ (stage as u64).wrapping_mul(0xd1b5_4a32_d192_ed03));
+        let mut key = stage_key(seed, stage);
         for &k in keys {
             key = mix(key.wrapping_add(0x9e37_79b9_7f4a_7c15) ^ k.wrapping_mul(0xa24b_aed4_963e_e407));
         }
@@ -106,6 +121,34 @@ impl CounterRng {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// [`mix`] backwards.
+    fn unmix(z: u64) -> u64 {
+        let unshift = |z: u64, by: u32| (0..64 / by).fold(z, |found, _| z ^ (found >> by));
+        let inverse = |odd: u64| (0..6).fold(odd, |x, _| x.wrapping_mul(2u64.wrapping_sub(odd.wrapping_mul(x))));
+        let z = unshift(z, 31).wrapping_mul(inverse(0x94d0_49bb_1331_11eb));
+        unshift(unshift(z, 27).wrapping_mul(inverse(0xbf58_476d_1ce4_e5b9)), 30)
+    }
+
+    /// Whoever is told the numbers of one stage cannot compute those of another: what a participant sees of a film, to the
+    /// last bit, would otherwise be the whole film.
+    #[test]
+    fn a_long_seed_cannot_be_computed_from_its_numbers() {
+        let found = |seed: u64| {
+            let seen = CounterRng::new(seed, Stage::NovelView, &[7, 3]).next_u64();
+            let mut key = unmix(seen).wrapping_sub(0x9e37_79b9_7f4a_7c15);
+            for k in [3u64, 7] {
+                key = (unmix(key) ^ k.wrapping_mul(0xa24b_aed4_963e_e407)).wrapping_sub(0x9e37_79b9_7f4a_7c15);
+            }
+            unmix(unmix(key) ^ (Stage::NovelView as u64).wrapping_mul(0xd1b5_4a32_d192_ed03)) ^ 0x9e37_79b9_7f4a_7c15
+        };
+        for seed in [0, 1, 17, u64::from(u32::MAX)] {
+            assert_eq!(found(seed), seed, "the way back is wrong, and this test could not fail");
+        }
+        for seed in [1 << 32, 123_456_789_012_345_678, u64::MAX] {
+            assert_ne!(found(seed), seed);
+        }
+    }
 
     #[test]
     fn streams_differ_and_moments_are_right() {
