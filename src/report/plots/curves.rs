@@ -8,7 +8,7 @@ use super::canvas::{
 };
 use super::methods::{log_range, log_ticks};
 use crate::report::palette::Palette;
-use crate::report::run::Run;
+use crate::report::run::{MethodInfo, Run};
 use crate::score::{CellScore, metric};
 
 /// A curve without NaN.
@@ -21,6 +21,12 @@ fn draw_curves<DB: DrawingBackend>(
     width: f64,
 ) -> Drawn<(), DB> {
     curves.iter().try_for_each(|(stroke, points)| draw_line(chart, pen, *stroke, width, points))
+}
+
+/// What is shown of a case, of the cells whose frames are known: those of a kept report are not.
+fn with_frames<'a>(run: &'a Run, case_id: &str) -> Vec<(&'a MethodInfo, &'a CellScore)> {
+    let shown = run.shown(case_id).into_iter().map(|(method, _, score)| (method, score));
+    shown.filter(|(_, score)| !score.frame_scores.is_empty()).collect()
 }
 
 fn true_phase(score: &CellScore) -> Curve {
@@ -44,9 +50,9 @@ impl PhaseGrid {
         let mut names = vec![("Truth".to_owned(), Stroke::TRUTH)];
         let mut panels = Vec::new();
         for case in &run.cases {
-            let shown = run.shown(&case.id);
-            let mut curves: Vec<Curve> = shown.iter().take(1).map(|(_, _, score)| true_phase(score)).collect();
-            for (method, _, score) in shown {
+            let shown = with_frames(run, &case.id);
+            let mut curves: Vec<Curve> = shown.iter().take(1).map(|(_, score)| true_phase(score)).collect();
+            for (method, score) in shown {
                 let curve = predicted_phase(palette.style(&method.id).into(), score);
                 if !curve.1.is_empty() {
                     let name = (method.title.clone(), curve.0);
@@ -126,23 +132,22 @@ impl FrameErrors {
     /// `None` when nothing is known of the case's frames.
     pub fn new(run: &Run, case_id: &str, palette: &Palette) -> Option<Self> {
         let stroke = |method: &str| Stroke::from(palette.style(method));
-        let shown = run.shown(case_id);
-        let (_, _, first) = shown.first()?;
+        let shown = with_frames(run, case_id);
+        let (_, first) = shown.first()?;
         let mut names = vec![("Truth".to_owned(), Stroke::TRUTH)];
-        names.extend(shown.iter().map(|(m, _, _)| (m.title.clone(), stroke(&m.id))));
+        names.extend(shown.iter().map(|(m, _)| (m.title.clone(), stroke(&m.id))));
         let mut phases = vec![true_phase(first)];
-        phases.extend(shown.iter().map(|(m, _, s)| predicted_phase(stroke(&m.id), s)).filter(|c| !c.1.is_empty()));
+        phases.extend(shown.iter().map(|(m, s)| predicted_phase(stroke(&m.id), s)).filter(|c| !c.1.is_empty()));
         let mut panels = vec![FramePanel { name: "breathing phase".to_owned(), curves: phases, is_log: false }];
         for id in FRAME_METRICS {
             let curves: Vec<Curve> =
-                shown.iter().map(|(m, _, s)| (stroke(&m.id), s.series(id))).filter(|c| !c.1.is_empty()).collect();
+                shown.iter().map(|(m, s)| (stroke(&m.id), s.series(id))).filter(|c| !c.1.is_empty()).collect();
             if let (Some(m), false) = (metric(id), curves.is_empty()) {
                 let name = if id == "phase_mae" { "phase error".into() } else { m.heading() };
                 panels.push(FramePanel { name, curves, is_log: m.unit == "mm" });
             }
         }
-        let is_known = panels.iter().flat_map(|panel| &panel.curves).any(|(_, points)| !points.is_empty());
-        is_known.then_some(FrameErrors { names, panels })
+        Some(FrameErrors { names, panels })
     }
 }
 
@@ -195,5 +200,42 @@ impl Figure for FrameErrors {
             draw_curves(&mut panel, pen, &curves[thick..], 1.6)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::Outcome;
+    use crate::report::report_tests::sample_run;
+
+    /// A merge with a kept report has the truth of the rows whose frames it has, and names no others.
+    #[test]
+    fn rows_without_frames_have_no_part_in_curves() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = sample_run(folder.path(), 48, 6);
+        let first = run.shown("case1")[0].0.title.clone();
+        let kept = run.methods[0].id.clone();
+        for cell in run.cells.iter_mut().filter(|cell| cell.method == kept) {
+            let Outcome::Scored(score) = &mut cell.outcome else { continue };
+            score.frame_scores.clear();
+        }
+        let palette = Palette::of(&run.methods);
+        let phases = PhaseGrid::new(&run, &palette).unwrap();
+        let errors = FrameErrors::new(&run, "case1", &palette).unwrap();
+        assert_eq!(run.methods[0].title, first);
+        for (names, truth) in [(&phases.names, &phases.panels[0].1[0]), (&errors.names, &errors.panels[0].curves[0])] {
+            assert!(
+                names[0].0 == "Truth" && names.iter().all(|(name, _)| *name != first) && names.len() > 2,
+                "{first}"
+            );
+            assert_eq!(truth.1.len(), 6);
+        }
+        run.cells.iter_mut().for_each(|cell| {
+            if let Outcome::Scored(score) = &mut cell.outcome {
+                score.frame_scores.clear();
+            }
+        });
+        assert!(PhaseGrid::new(&run, &palette).is_none() && FrameErrors::new(&run, "case1", &palette).is_none());
     }
 }
