@@ -40,7 +40,7 @@ class FaceLighting {
     }
     const float each = 1.0f / static_cast<float>(parts * parts);
     const float e = material_.mean_coat();
-    const Vec3 side = material_.from_lamp_side();
+    const Vec3 side = material_.lamp_side();
     const Vec3 spread = {e * (1.0f - side.x), e * (1.0f - side.y), e * (1.0f - side.z)};
     FaceLight out{};
     store(out.irradiance.data(), received * each);

@@ -110,7 +110,7 @@ class KnownLightTracer {
     // wide lobe.
     const float e = material_.coat().albedo(met.s.alpha, met.o.z);
     auto other = [&](float side) { return (1.0f - side) * e + side * material_.mean_coat() * glint; };
-    const Vec3 side = material_.from_lamp_side();
+    const Vec3 side = material_.lamp_side();
     const Vec3 base = met.s.albedo * (1.0f - e);
     const Vec3 by_lamp = lamp_.irradiance(met.s, &paths_.caster()) * (base + grey(lamp));
     return (by_lamp + light * (base + Vec3{other(side.x), other(side.y), other(side.z)})) * (weight / PI);

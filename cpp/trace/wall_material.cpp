@@ -12,6 +12,7 @@ WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& r
       albedo_(load(settings.albedo.data())),
       extinction_(load(settings.extinction.data())),
       scattering_(load(settings.scattering.data())),
+      lamp_side_{from_lamp_side(albedo_.x), from_lamp_side(albedo_.y), from_lamp_side(albedo_.z)},
       look_{settings.vessels,         settings.blotches, settings.relief, settings.film,        settings.rings,
             settings.ring_spacing_mm, settings.folds,    settings.spurs,  settings.anthracosis, settings.seed},
       noise_(noise_kernel(widest_isa())) {

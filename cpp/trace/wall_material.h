@@ -49,9 +49,7 @@ class WallMaterial {
   // Fraction of uniform light that the coat reflects.
   float mean_coat() const { return mean_coat_; }
   // `from_lamp_side` of each channel.
-  Vec3 from_lamp_side() const {
-    return {respire::from_lamp_side(albedo_.x), respire::from_lamp_side(albedo_.y), respire::from_lamp_side(albedo_.z)};
-  }
+  Vec3 lamp_side() const { return lamp_side_; }
   // Mean roughness, for light between walls.
   float mean_alpha() const { return 0.5f * (settings_.alpha_low + settings_.alpha_high); }
   // Roughness for `film` from 0 (smooth film) to 1 (rough).
@@ -165,7 +163,7 @@ class WallMaterial {
   void bake_vertex_albedo(const TracedMesh& rest);
 
   MaterialSettings settings_;
-  Vec3 albedo_, extinction_, scattering_;
+  Vec3 albedo_, extinction_, scattering_, lamp_side_;
   MucosaLook look_;
   NoiseKernel noise_;
   Coat coat_, wide_coat_;
