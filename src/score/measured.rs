@@ -75,9 +75,15 @@ pub struct NovelMeasurement {
     pub psnr: Option<Psnr>,
     /// Of the picture; `None` where there is none.
     pub ssim: Option<Ssim>,
+    /// Of the picture against that of the frame's own camera, where the true ones differ by more than [`ALIKE_DB`]: in a
+    /// dark moment all are alike.
+    pub psnr_to_frame: Option<Psnr>,
     /// As in [`FrameMeasurement`].
     pub depth: Option<Option<DepthErrors>>,
 }
+
+/// PSNR in dB from which the pictures of a frame's two cameras are too alike to tell which one was handed in.
+const ALIKE_DB: f64 = 45.0;
 
 /// The outcome of the target metrics.
 pub enum TargetOutcome {
@@ -161,14 +167,17 @@ fn measure_novel(
     mask: Option<&Mask>,
     frame: usize,
 ) -> Result<NovelMeasurement> {
-    let (mut psnr, mut ssim) = (None, None);
+    let (mut psnr, mut ssim, mut psnr_to_frame) = (None, None, None);
     if prediction.has_novel_views() {
         let (image, color) = (truth.novel_image(frame)?, prediction.novel(frame)?);
         (psnr, ssim) = (Some(psnr_within(&color, &image, mask)), Some(ssim_within(&color, &image, mask)?));
+        let of_frame = truth.image(frame)?;
+        let differ = matches!(psnr_within(&of_frame, &image, mask), Psnr::Decibel(decibel) if decibel < ALIKE_DB);
+        psnr_to_frame = differ.then(|| psnr_within(&color, &of_frame, mask));
     }
     let depth = prediction.novel_depth_mm(frame)?;
     let depth = depth.map(|depth| Ok(depth_within(&depth, truth.novel_depth_mm(frame)?, mask))).transpose()?;
-    Ok(NovelMeasurement { psnr, ssim, depth })
+    Ok(NovelMeasurement { psnr, ssim, psnr_to_frame, depth })
 }
 
 /// Depth errors where the mask shows something: pixels without true depth do not count.

@@ -22,6 +22,8 @@ const COPIED_SHARE: f64 = 0.01;
 const COPIED: &str = "the pictures are the input, which no estimate equals";
 /// And of a second camera's.
 const NEARLY_COPIED: &str = "the pictures are nearly the truth's, noise and all";
+/// And of a second camera's that are what the first one saw.
+const COPIED_BESIDE: &str = "the pictures are those of the frames' own cameras";
 
 // One frame. `None`: the prediction does not claim it.
 
@@ -251,13 +253,18 @@ pub fn mean_psnr_ahead(measured: &Measured<'_>, readings: &[FrameReading]) -> Fi
     }
 }
 
-/// What is found of the second cameras' pictures, unless they are nearly the truth's. Pictures that equal it are marked
-/// as such; those that nearly do are no better.
+/// What is found of the second cameras' pictures, unless they are nearly the truth's, or those of the frames' own cameras.
+/// Pictures that equal the truth are marked as such; those that nearly do are no better.
 fn unless_nearly_copied(measured: &Measured<'_>, found: impl FnOnce() -> Finding) -> Finding {
     let pictures: Vec<Psnr> = measured.novel.iter().filter_map(|view| view.psnr).collect();
-    match are_copies(&pictures) && !pictures.iter().all(|psnr| *psnr == Psnr::Identical) {
-        true => Finding::new(None, Status::Copied, measured.novel.len(), NEARLY_COPIED),
-        false => found(),
+    let of_frames: Vec<Psnr> = measured.novel.iter().filter_map(|view| view.psnr_to_frame).collect();
+    let copied = |what| Finding::new(None, Status::Copied, measured.novel.len(), what);
+    if are_copies(&pictures) && !pictures.iter().all(|psnr| *psnr == Psnr::Identical) {
+        copied(NEARLY_COPIED)
+    } else if are_copies(&of_frames) {
+        copied(COPIED_BESIDE)
+    } else {
+        found()
     }
 }
 

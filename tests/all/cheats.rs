@@ -131,6 +131,17 @@ fn pictures_that_are_the_input_or_the_truth_are_marked() {
     for id in ["novel_psnr_db", "novel_ssim"] {
         assert_eq!(Scored::of(&place, "one-novel-bit").status(id), "copied");
     }
+    // What the first camera saw, with one bit changed.
+    cheat(&place, "beside", |folder| {
+        for view in &whole.novel_views {
+            let mut image = picture(view.frame);
+            image.data[100 * 3] ^= 1;
+            png::write_rgb(&folder.join(format!("novel/{:06}.png", view.frame)), &image).unwrap();
+        }
+    });
+    for id in ["novel_psnr_db", "novel_ssim"] {
+        assert_eq!(Scored::of(&place, "beside").status(id), "copied");
+    }
     cheat(&place, "one-frame", |folder| {
         png::write_rgb(&folder.join("color/000003.png"), &picture(3)).unwrap();
     });
