@@ -6,6 +6,19 @@ use super::{Error, Result};
 /// Most characters of a third party's name: more would break tables.
 const LONGEST: usize = 60;
 
+/// What tables add to the title of an own row that is run with other settings ([`title_of_changed`]).
+const CHANGED: &str = ", changed";
+
+/// The title of a row of this program that is run with other settings than those that come with it.
+pub fn title_of_changed(title: &str) -> String {
+    format!("{title}{CHANGED}")
+}
+
+/// Whether a reader would take two names for one: they differ in case, or in letters and digits that look alike, at most.
+pub fn look_alike(a: &str, b: &str) -> bool {
+    shapes(a) == shapes(b)
+}
+
 /// Refuses a name that a third party's row cannot have: other letters than ASCII, among which many look alike and some
 /// turn the text around them; and an own row's id or title, whatever its case and separators (two rows of a table must
 /// not look like one).
@@ -17,7 +30,9 @@ pub fn check_foreign(name: &str) -> Result<()> {
              punctuation of ASCII"
         )));
     }
-    match OWN.iter().find(|row| [row.id, row.title].iter().any(|own| seen(own) == seen(name))) {
+    let seen_name = seen(name);
+    let is_own = |own: &str| [seen(own), seen(own) + &seen(CHANGED)].contains(&seen_name);
+    match OWN.iter().find(|row| is_own(row.id) || is_own(row.title)) {
         Some(row) => Err(Error::input(format!(
             "`{name}` is reserved for this program's own row `{}`; give yours another name",
             row.id
@@ -26,15 +41,23 @@ pub fn check_foreign(name: &str) -> Result<()> {
     }
 }
 
-/// What a reader tells names apart by: letters and digits, where 0 may be an o, 5 an s, and 1, l, a bar and ! an i.
+/// What a reader sees of a name whose separators are passed over: letters and digits.
 fn seen(name: &str) -> String {
+    shapes(name).chars().filter(char::is_ascii_alphanumeric).collect()
+}
+
+/// A name in lower case, where 0 is read as an o, 1, l, a bar and ! as an i, 5 and $ as an s, 8 as a b, @ as an a, and rn as
+/// an m and vv as a w.
+fn shapes(name: &str) -> String {
     let letter = |c: char| match c.to_ascii_lowercase() {
         '0' => 'o',
-        '5' => 's',
+        '5' | '$' => 's',
+        '8' => 'b',
+        '@' => 'a',
         '1' | 'l' | '|' | '!' => 'i',
         other => other,
     };
-    name.chars().map(letter).filter(char::is_ascii_alphanumeric).collect()
+    name.chars().map(letter).collect::<String>().replace("rn", "m").replace("vv", "w")
 }
 
 #[cfg(test)]
@@ -54,6 +77,11 @@ mod tests {
             "Our5",
             "VirtuaI bronchoscopy",
             "BridgeSp|at",
+            "Our$",
+            "8ridgeSplat",
+            "Ours (no rnesh)",
+            "Ours, changed",
+            "ours changed",
         ];
         for reserved in reserved {
             let said = check_foreign(reserved).unwrap_err().to_string();
@@ -69,6 +97,17 @@ mod tests {
         }
         for free in ["mine", "ours-but-better", "EndoGSLAM", "Groesse 2", "oracle-phase (paper)"] {
             check_foreign(free).unwrap();
+        }
+    }
+
+    #[test]
+    fn names_that_look_alike_are_told() {
+        for (a, b) in [("EndoGSLAM", "EndoGSIAM"), ("EndoGSLAM", "endogslam"), ("net 10", "net lO"), ("mine", "rnine")]
+        {
+            assert!(look_alike(a, b), "{a} and {b}");
+        }
+        for (a, b) in [("net v1.0", "net v10"), ("mine", "mine 2"), ("EndoGSLAM", "EndoGaussian")] {
+            assert!(!look_alike(a, b), "{a} and {b}");
         }
     }
 }

@@ -59,8 +59,9 @@ fn of_film(film: &Path, parent: &Path) -> PathBuf {
     let named = |path: &Path| path.file_name().map(PathBuf::from);
     let folder_name = named(film).or_else(|| named(&film.canonicalize().ok()?)).unwrap_or_default();
     let case = Sequence::open(film).map(|film| PathBuf::from(film.case_id));
-    let names = case.into_iter().chain([folder_name.clone()]);
-    names.map(|name| parent.join(name)).find(|path| path.is_dir()).unwrap_or_else(|| parent.join(folder_name))
+    let mut folders = case.into_iter().chain([folder_name]).map(|name| parent.join(name));
+    let first = folders.next().expect("a film's folder has a name");
+    if first.is_dir() { first } else { folders.find(|path| path.is_dir()).unwrap_or(first) }
 }
 
 /// Refuses a prediction that names itself as a row of this program.

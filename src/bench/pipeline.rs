@@ -15,6 +15,7 @@ use super::variant::Variant;
 use crate::airway::case::Case;
 use crate::base::{Error, Estimate, Progress, Result, files, hash, own_row, shipped};
 use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
+use crate::report::run::note_on_changed;
 use crate::report::scene::Scenes;
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, CellScore, Truth};
@@ -292,10 +293,8 @@ impl Pipeline {
 
     /// What a report says of rows that have an own row's id and are not run by its file.
     pub fn note_on_changes(&self) -> Option<String> {
-        let ids = self.methods.iter().filter(|m| m.is_changed).map(|m| format!("`{}`", m.method.id()));
-        let ids: Vec<String> = ids.collect();
-        let sentence = format!("Run by method files that differ from those of this program: {}.", ids.join(", "));
-        (!ids.is_empty()).then_some(sentence)
+        let ids: Vec<&str> = self.methods.iter().filter(|m| m.is_changed).map(|m| m.method.id()).collect();
+        note_on_changed(&ids)
     }
 
     fn simulation_settings(&self, case: &Case) -> SimulationSettings {

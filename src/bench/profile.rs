@@ -8,7 +8,7 @@ use super::plan::toml_ids;
 use crate::airway::case::Effect;
 use crate::base::range::{FRAME_RATE, FRAMES, KeyRanges, NumberRange, SAMPLES_PER_PIXEL, SEED};
 use crate::base::{Error, Result, files};
-use crate::report::run::is_evaluated_id;
+use crate::report::run::{PROFILES_BETWEEN, is_evaluated_id};
 use crate::simulate::FilmLight;
 use crate::simulate::track::Track;
 
@@ -84,8 +84,9 @@ impl Profile {
         profile.validate().map_err(|e| e.at(&path))?;
         profile.file.clone_from(&path);
         profile.name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("custom").to_owned();
-        if is_evaluated_id(&format!("{}-", profile.name)) {
-            return Err(Error::input("has a name that only predictions of others have: rename it").at(&path));
+        if is_evaluated_id(&format!("{}-", profile.name)) || profile.name.contains(PROFILES_BETWEEN) {
+            let sentence = "has a name that only predictions of others or merged reports have: rename it";
+            return Err(Error::input(sentence).at(&path));
         }
         Ok(profile)
     }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::Terminal;
 use crate::base::{Error, Progress, Result};
-use crate::report::compare::{Change, Comparison, compare, only_in_first};
+use crate::report::compare::{Change, Comparison, compare, differences_of_work, only_in_first};
 use crate::report::read;
 use crate::score::metric;
 
@@ -40,7 +40,7 @@ pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
         let sentence = "are of other films in B, so that differences there are not of the methods alone";
         terminal.note(&format!("{} {sentence}", others.join(", ")));
     }
-    only_in_first(&a, &b).iter().for_each(|sentence| terminal.note(sentence));
+    differences_of_work(&a, &b).iter().chain(&only_in_first(&a, &b)).for_each(|sentence| terminal.note(sentence));
     let mut found = compare(&a, &b);
     if let Some(wanted) = &arguments.method {
         for (run, folder) in [(&a, &arguments.a), (&b, &arguments.b)] {

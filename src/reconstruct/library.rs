@@ -217,6 +217,11 @@ mod tests {
             ("virtual-bronchoscopy", Some("pose-only")),
         ];
         assert_eq!(read, expected);
+        for file in &files {
+            let id = &file.header().id;
+            let draws = crate::base::own_row::own(id).unwrap().draws;
+            assert_eq!(file.method(1.0).unwrap().draws(), draws, "{id}");
+        }
         let number = |id: &str, key: &str| {
             let file = files.iter().find(|f| f.header().id == id).unwrap();
             key.split('.').try_fold(&Value::Table(file.keys().clone()), |at, key| at.get(key)).cloned()

@@ -1,6 +1,8 @@
 //! Two runs side by side: for every method and metric the mean difference over the cases they share, with a paired
 //! 95 % interval over trees and cases.
 
+use std::collections::BTreeSet;
+
 use serde::Serialize;
 
 use super::read::{Results, distinct};
@@ -50,6 +52,25 @@ pub struct Comparison {
     pub interval: Option<[f64; 2]>,
     /// What it means.
     pub change: Change,
+}
+
+/// In what two runs are not of the same work, a sentence each: conditions, settings, and seeds of a method.
+pub fn differences_of_work(a: &Results, b: &Results) -> Vec<String> {
+    let other = b.other_work(a);
+    let mut found: Vec<String> =
+        other.conditions.map(|c| format!("B ran under other conditions: {c}")).into_iter().collect();
+    if !other.settings.is_empty() {
+        found.push(format!("run by the program's settings in one of both alone: {}", other.settings.join(", ")));
+    }
+    let methods_b = b.methods();
+    for method in a.methods().into_iter().filter(|m| methods_b.contains(m)) {
+        let [in_a, in_b] = [a, b].map(|results| results.seeds_of(method));
+        if in_a != in_b {
+            let words = |seeds: &BTreeSet<u64>| seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+            found.push(format!("`{method}` has the seeds {} in A and {} in B", words(&in_a), words(&in_b)));
+        }
+    }
+    found
 }
 
 /// What only the first run has, a sentence each: methods, and cases.

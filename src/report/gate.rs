@@ -402,6 +402,16 @@ fn absolute(m: &Metric, limit: &Absolute, case: &str, value: Value) -> Check {
 
 fn against(results: &Results, thresholds: &Thresholds, baseline: &Results) -> Vec<Check> {
     let mut checks = Vec::new();
+    let other = results.other_work(baseline);
+    if let Some(conditions) = other.conditions {
+        let sentence =
+            format!("ran under other conditions than the baseline, which makes another task of it: {conditions}");
+        checks.push(check(("", "", ""), Verdict::Fail, sentence));
+    }
+    for method in other.settings {
+        let sentence = "its settings are the program's in the results or in the baseline, and not in both";
+        checks.push(check(("", &method, ""), Verdict::Note, sentence.into()));
+    }
     let (now, before) = (results.cases(), baseline.cases());
     for case in now.iter().filter(|c| !before.contains(c)) {
         checks.push(check((case, "", ""), Verdict::Note, "a new case: the baseline does not have it".into()));

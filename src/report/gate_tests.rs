@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::compare::{Change, compare, only_in_first};
+use super::compare::{Change, compare, differences_of_work, only_in_first};
 use super::gate::{Check, Thresholds, Verdict, judge, read_thresholds, with_limits_of};
 use super::gate_limits::{LimitSource, limits_from, write_limits};
 use super::read::{CaseFacts, Results, read};
@@ -350,6 +350,45 @@ fn runs_are_compared_over_trees() {
     assert_eq!(only_in_first(&a, &lost), ["cases of A that B has not: case3"]);
     a.facts.iter_mut().filter(|(case, _)| *case != "case7").for_each(|(_, facts)| facts.tree = "shared".into());
     assert_eq!(change(&a, &b), Change::Few);
+}
+
+/// More iterations would hide a regression; another method file or fewer seeds are said.
+#[test]
+fn runs_under_other_conditions_are_no_baseline() {
+    let folder = tempfile::tempdir().unwrap();
+    let baseline = tables_in(folder.path());
+    let with = |profile: &str, conditions: &[&str], changed: &[&str]| {
+        let owned = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        let (profile, conditions, changed) = (profile.to_owned(), owned(conditions), owned(changed));
+        Results { profile, conditions, changed, ..baseline.clone() }
+    };
+    let gate = |results: &Results, baseline: &Results| judge(results, &thresholds(), Some(baseline));
+    let known = with("tiny", &["30 %."], &[]);
+    assert_eq!(failures(&gate(&known, &known)), [""; 0]);
+    for other in [with("tiny", &["90 %."], &[]), with("tiny", &[], &[])] {
+        let failed = failures(&gate(&other, &known));
+        assert!(
+            failed.len() == 1 && failed[0].contains("other conditions") && failed[0].contains("30 %"),
+            "{failed:?}"
+        );
+        assert!(differences_of_work(&known, &other)[0].contains("other conditions"));
+    }
+    // A run of an older version does not tell, and scores of predictions have none.
+    for untold in [with("", &[], &[]), with("evaluate", &[], &[])] {
+        assert_eq!(failures(&gate(&untold, &known)), [""; 0]);
+    }
+    let changed = with("tiny", &["30 %."], &["ours"]);
+    let checks = gate(&changed, &known);
+    assert_eq!(failures(&checks), [""; 0]);
+    assert!(checks.iter().any(|c| c.verdict == Verdict::Note && c.method == "ours" && c.sentence.contains("settings")));
+    let settings = |a: &Results, b: &Results| differences_of_work(a, b).join(" ").contains("settings in one of both");
+    assert!(settings(&known, &changed) && settings(&changed, &known) && !settings(&changed, &changed));
+    let mut more = known.clone();
+    for (key, entry) in &known.entries {
+        more.entries.insert(super::read::Key { seed: 2, ..key.clone() }, entry.clone());
+    }
+    let said = differences_of_work(&more, &known);
+    assert!(said.iter().any(|sentence| sentence == "`ours` has the seeds 1, 2 in A and 1 in B"), "{said:?}");
 }
 
 /// Times are compared where one machine took both.

@@ -12,7 +12,7 @@ use super::counted_run::CountedRun;
 use super::read::distinct;
 use super::run::{CellRecord, MethodInfo, PROFILES_BETWEEN, Role, Run};
 use super::scene::{FilmKey, Scenes};
-use crate::base::{Error, Result, hash};
+use crate::base::{Error, Result, hash, method_name};
 use crate::score::CellScore;
 
 /// Whether a table may hold scores of different films of one case.
@@ -36,7 +36,7 @@ pub struct Part {
 /// Merges `parts`; a cell that several have is taken from the last, and the report says so.
 ///
 /// Errors: a method with rows of this program's runs and of predictions that `evaluate` scored; two different
-/// predictions of one name; with [`Films::Same`], two parts that scored different films of one case.
+/// predictions of one name, or of names that look alike; with [`Films::Same`], two parts that scored different films of one case.
 pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     // A part may itself be a merged run.
     let mut ids: Vec<String> = Vec::new();
@@ -112,6 +112,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
             notes.push(format!("`{method}` of {cases} is that of {}, in place of an earlier one.", folder.display()));
         }
     }
+    refuse_alike(&cells)?;
     let id = format!("merged-{}", &hash::of_value(&ids)?[..8]);
     // A film that a part kept is shown with the rows that were scored on it, and with no others.
     let film = |cell: &CellRecord| cell.score().map(FilmKey::of);
@@ -197,7 +198,20 @@ fn notes_on_places(run: &Run) -> Vec<String> {
     }
     if !others.is_empty() {
         let others = others.join(", ");
-        notes.push(format!("Listed, but of no row of this program, so that they count in no mean or place: {others}."));
+        notes.push(format!(
+            "Listed, but of less than half of the rows that rank, so that they count in no mean or place: {others}."
+        ));
+    }
+    let left_out = |m: &MethodInfo| {
+        let seeds: Vec<String> = counted.seeds_left_out(&m.id).iter().map(u64::to_string).collect();
+        (!seeds.is_empty()).then(|| format!("{} ({})", m.id, seeds.join(", ")))
+    };
+    let left_out: Vec<String> = run.methods.iter().filter_map(left_out).collect();
+    if !left_out.is_empty() {
+        let left_out = left_out.join(", ");
+        notes.push(format!(
+            "Seeds that a row has in half of the cases or fewer, which count in no mean or place: {left_out}."
+        ));
     }
     if !stated.is_empty() {
         let stated = stated.join(", ");
@@ -226,6 +240,19 @@ fn refuse_other_origin(first: Option<&CellRecord>, same: Option<&CellRecord>, ne
         ))),
         None => Ok(()),
     }
+}
+
+/// Two third parties' rows must not look like one.
+fn refuse_alike(cells: &[CellRecord]) -> Result<()> {
+    let foreign = distinct(cells.iter().filter(|cell| cell.is_foreign()).map(|cell| cell.method.as_str()));
+    for (at, a) in foreign.iter().enumerate() {
+        if let Some(b) = foreign[..at].iter().find(|b| method_name::look_alike(a, b)) {
+            return Err(Error::input(format!(
+                "`{b}` and `{a}` look alike in a table: score one of them again with `evaluate --method NAME`"
+            )));
+        }
+    }
+    Ok(())
 }
 
 fn has_same_numbers(a: &CellRecord, b: &CellRecord) -> bool {

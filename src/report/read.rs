@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use super::run::{MethodInfo, RECONSTRUCT, StatedFacts};
+use super::run::{EVALUATION, MethodInfo, RECONSTRUCT, StatedFacts, note_on_changed};
 pub use super::seal::lacking_evidence;
 use super::{RESULTS, seal, track_folders};
 use crate::base::{Error, Result, files};
@@ -58,6 +58,15 @@ impl CaseFacts {
     }
 }
 
+/// In what two runs are not of the same work.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct OtherWork {
+    /// The conditions of both, where they differ.
+    pub conditions: Option<String>,
+    /// Rows that are run by the program's settings in one run alone, sorted.
+    pub settings: Vec<String>,
+}
+
 /// All numbers of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Results {
@@ -69,6 +78,10 @@ pub struct Results {
     pub track: Track,
     /// Profile of the run, of a merged one all (`a + b`); empty where it is not known.
     pub profile: String,
+    /// What holds for all that this program ran, a sentence each; its changed rows are told apart.
+    pub conditions: Vec<String>,
+    /// Own rows with other settings than those that come with the program.
+    pub changed: Vec<String>,
     /// Machines on which the methods ran, and the threads that they could use, as far as `timings.csv` says.
     pub machines: BTreeSet<(String, String)>,
 }
@@ -136,8 +149,11 @@ pub fn read(folder: &Path) -> Result<Results> {
             }
         }
     }
-    results.profile = StatedFacts::read(folder)?.profile;
     seal::check(folder)?;
+    let StatedFacts { profile, mut conditions, changed, .. } = StatedFacts::read(folder)?;
+    let on_changed = note_on_changed(&changed.iter().map(String::as_str).collect::<Vec<_>>());
+    conditions.retain(|sentence| Some(sentence) != on_changed.as_ref());
+    (results.profile, results.conditions, results.changed) = (profile, conditions, changed);
     Ok(results)
 }
 
@@ -165,6 +181,11 @@ impl Results {
         distinct(self.entries.keys().map(|k| k.method.as_str()))
     }
 
+    /// Seeds of the method, in any case.
+    pub fn seeds_of(&self, method: &str) -> BTreeSet<u64> {
+        self.entries.keys().filter(|key| key.method == method).map(|key| key.seed).collect()
+    }
+
     /// Whether there are rows of the method in the case.
     pub fn has_rows(&self, method: &str, case: &str) -> bool {
         self.entries.keys().any(|key| key.method == method && key.case == case)
@@ -174,6 +195,25 @@ impl Results {
     pub fn is_of_the_machine_of(&self, other: &Results) -> bool {
         let is_known = self.machines.iter().all(|(machine, _)| !machine.is_empty());
         is_known && self.machines.len() == 1 && self.machines == other.machines
+    }
+
+    /// In what this program ran otherwise than for `other`, a sentence each: by conditions, which make the numbers those of
+    /// another task, and by settings. Nothing where either is of an older version or of predictions alone.
+    pub fn other_work(&self, other: &Results) -> OtherWork {
+        let is_told = |results: &Results| ![String::new(), EVALUATION.to_owned()].contains(&results.profile);
+        if !is_told(self) || !is_told(other) {
+            return OtherWork::default();
+        }
+        let words = |conditions: &[String]| match conditions {
+            [] => "none in particular".to_owned(),
+            some => some.join(" "),
+        };
+        let conditions = (self.conditions != other.conditions)
+            .then(|| format!("{} There: {}", words(&self.conditions), words(&other.conditions)));
+        let has = |results: &Results, id: &String| results.changed.contains(id);
+        let one_sided = self.changed.iter().chain(&other.changed).filter(|id| has(self, id) != has(other, id));
+        let settings = distinct(one_sided.map(String::as_str)).into_iter().map(str::to_owned).collect();
+        OtherWork { conditions, settings }
     }
 
     /// Refuses results of another track: their numbers are of another task.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::scene::{RowKey, Scenes};
 pub use crate::base::own_row::Role;
-use crate::base::{Result, files, own_row};
+use crate::base::{Result, files, method_name, own_row};
 use crate::score::{CellScore, Truth};
 use crate::simulate::track::Track;
 
@@ -79,6 +79,13 @@ pub struct StatedFacts {
     /// Own rows with other settings than those that come with the program.
     #[serde(default)]
     pub changed: Vec<String>,
+}
+
+/// What is said of rows that were run by other method files than the program's.
+pub fn note_on_changed(ids: &[&str]) -> Option<String> {
+    let ids: Vec<String> = ids.iter().map(|id| format!("`{id}`")).collect();
+    let sentence = format!("Run by method files that differ from those of this program: {}.", ids.join(", "));
+    (!ids.is_empty()).then_some(sentence)
 }
 
 impl StatedFacts {
@@ -174,7 +181,10 @@ impl MethodInfo {
 
     /// The same with other settings than those that come with the program, which its title says.
     pub fn changed(self) -> Self {
-        if self.is_changed { self } else { MethodInfo { title: self.title + ", changed", is_changed: true, ..self } }
+        if self.is_changed {
+            return self;
+        }
+        MethodInfo { title: method_name::title_of_changed(&self.title), is_changed: true, ..self }
     }
 
     /// Whether `id` is one of this program's own rows.

@@ -49,6 +49,9 @@ pub(super) fn is_sealed(folder: &Path, name: &str) -> Result<bool> {
 }
 
 fn refuse_changed(path: &Path, sealed: Option<&String>) -> Result<()> {
+    if sealed.is_some() && !path.exists() {
+        return Err(Error::input("is missing, and manifest.json has its hash: copy the report as a whole").at(path));
+    }
     if sealed == Some(&hash::of_file(path)?) {
         return Ok(());
     }

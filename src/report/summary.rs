@@ -44,6 +44,8 @@ pub struct MethodSummary {
     pub failed: usize,
     /// Cells, those included.
     pub cells: usize,
+    /// Seeds that count.
+    pub seeds: usize,
     /// In the registry's order.
     pub metrics: Vec<MetricSummary>,
 }
@@ -64,13 +66,13 @@ impl MethodSummary {
 pub fn summarise(run: &Run) -> Vec<MethodSummary> {
     let counted = CountedRun::new(run);
     let of = |method: &MethodInfo| {
-        let is_scored =
-            |case: &&&CaseInfo| counted.cells(&case.id, &method.id).iter().any(|cell| cell.score().is_some());
+        let is_scored = |case: &&&CaseInfo| counted.cells(&case.id, &method.id).any(|cell| cell.score().is_some());
         MethodSummary {
             method: method.clone(),
             cases: counted.ranking_cases().iter().filter(is_scored).count(),
             failed: run.cells.iter().filter(|c| c.method == method.id && c.score().is_none()).count(),
             cells: run.cells.iter().filter(|c| c.method == method.id).count(),
+            seeds: counted.seeds(&method.id).len(),
             metrics: registry().iter().map(|m| metric_summary(run, &counted, method, m)).collect(),
         }
     };

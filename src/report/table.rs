@@ -227,11 +227,15 @@ impl ComparisonTable {
     pub fn new(kind: TableKind, summaries: &[MethodSummary]) -> Self {
         let columns = kind.columns();
         let cases = summaries.iter().map(|s| s.cases).max().unwrap_or(0);
+        // The best of several seeds is another number than their mean.
+        let draws = |s: &&MethodSummary| own_row::own(&s.method.id).is_some_and(|row| row.draws);
+        let seeds = summaries.iter().filter(draws).map(|s| s.seeds).max().unwrap_or(0);
         let named = |s: &MethodSummary| {
             let mut method = s.method.clone();
             let fewer = (s.cases < cases).then(|| format!("{} of {cases} cases", s.cases));
             let failed = (s.failed > 0).then(|| format!("{} of {} runs failed", s.failed, s.cells));
-            let notes: Vec<String> = fewer.into_iter().chain(failed).collect();
+            let unlike = (draws(&s) && s.seeds < seeds).then(|| format!("{} of {seeds} seeds", s.seeds));
+            let notes: Vec<String> = fewer.into_iter().chain(unlike).chain(failed).collect();
             if !notes.is_empty() {
                 method.title += &format!(" ({})", notes.join("; "));
             }

@@ -447,6 +447,9 @@ fn numbers_that_do_not_follow_from_the_frames_are_not_merged() {
     fs::write(&results, &honest).unwrap();
     fs::write(&manifest, kept).unwrap();
     accepted(place.merge(&["reports/latest", "scores"], &[]));
+    fs::remove_file(place.path("scores/run.json")).unwrap();
+    refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/run.json", "manifest.json has its hash"]);
+    accepted(place.evaluate(&place.film(), "mine", "scores", &[]));
     // Without its frames nothing can be told of a prediction.
     fs::remove_file(place.path("scores/frames.csv")).unwrap();
     refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/frames.csv"]);
