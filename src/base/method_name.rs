@@ -41,19 +41,21 @@ pub fn check_foreign(name: &str) -> Result<()> {
     }
 }
 
-/// What a reader sees of a name whose separators are passed over: letters and digits.
+/// What a reader may take a name for: letters and digits, where 5 and $ stand for an s, 8 for a b and @ for an a.
 fn seen(name: &str) -> String {
-    shapes(name).chars().filter(char::is_ascii_alphanumeric).collect()
-}
-
-/// A name in lower case, where 0 is read as an o, 1, l, a bar and ! as an i, 5 and $ as an s, 8 as a b, @ as an a, and rn as
-/// an m and vv as a w.
-fn shapes(name: &str) -> String {
-    let letter = |c: char| match c.to_ascii_lowercase() {
-        '0' => 'o',
+    let letter = |c: char| match c {
         '5' | '$' => 's',
         '8' => 'b',
         '@' => 'a',
+        other => other,
+    };
+    shapes(name).chars().map(letter).filter(char::is_ascii_alphanumeric).collect()
+}
+
+/// What can be told apart of a name in any typeface: lower case, 0 as an o, 1, l, a bar and ! as an i, rn as an m, vv as a w.
+fn shapes(name: &str) -> String {
+    let letter = |c: char| match c.to_ascii_lowercase() {
+        '0' => 'o',
         '1' | 'l' | '|' | '!' => 'i',
         other => other,
     };
@@ -106,7 +108,7 @@ mod tests {
         {
             assert!(look_alike(a, b), "{a} and {b}");
         }
-        for (a, b) in [("net v1.0", "net v10"), ("mine", "mine 2"), ("EndoGSLAM", "EndoGaussian")] {
+        for (a, b) in [("net v1.0", "net v10"), ("net 5", "net S"), ("net 8", "net B"), ("mine", "mine 2")] {
             assert!(!look_alike(a, b), "{a} and {b}");
         }
     }
