@@ -213,7 +213,8 @@ fn check_sphere(mesh: &TriangleMesh) -> Result<()> {
     let euler = mesh.vertices.len() as i64 - mesh.edges().len() as i64 + mesh.faces.len() as i64;
     if euler != 2 {
         return Err(Error::input(format!(
-            "the surface has Euler characteristic {euler} instead of 2: branches touch each other or stand apart"
+            "the surface has Euler characteristic {euler} instead of 2: branches touch each other or stand apart; a finer \
+             `anatomy.surface.spacing_mm` or a larger `anatomy.minimal_radius_mm` may mend it"
         )));
     }
     Ok(())

@@ -303,8 +303,8 @@ fn solve(
         return Ok(irradiance);
     }
     Err(Error::input(
-        "light between walls so bright does not settle at the vertices: limit max_scatterings, darken the walls or \
-         take transport \"paths\"",
+        "light between walls so bright does not settle at the vertices: darken them (`material.albedo`), or in a scene of \
+         `render` limit max_scatterings or take transport \"paths\"",
     ))
 }
 

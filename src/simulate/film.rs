@@ -428,8 +428,7 @@ impl Planner<'_> {
                 })
             }
         };
-        let proxy =
-            exposure::proxy_radiance(scene, camera, &world_from_camera, &self.light, scope.vignette, self.albedo)?;
+        let proxy = exposure::proxy_radiance(scene, camera, &world_from_camera, &self.light, scope, self.albedo)?;
         let wanted_gain = exposure::wanted_gain(&proxy, case.exposure.target)?;
         let blur_px = blur(scene, camera, anatomy, way, now_s, scope.shutter_s)?;
         let novel_view = if sequence::held_out(index) {
@@ -493,8 +492,8 @@ fn bright_wall_note(material: &Material) -> Option<String> {
     let most = material.albedo.into_iter().fold(0.0, f64::max);
     (most > MOST_ALBEDO).then(|| {
         format!(
-            "walls of albedo {most} throw back more light than the exposure expects: above {MOST_ALBEDO} the film comes out \
-             brighter than exposure.target"
+            "walls of albedo {most} throw back more light than the exposure expects: above {MOST_ALBEDO} the film may come \
+             out brighter than exposure.target"
         )
     })
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::exposure::is_spot;
 use super::look::material;
 use super::settings::SimulationSettings;
 use crate::airway::case::Case;
@@ -14,6 +15,9 @@ const IDEAL_VERSION: u32 = 11;
 const CLINICAL_VERSION: u32 = 12;
 /// The same where a wall is not dark (`Material::is_dark`), on both tracks: what changed last is their light alone.
 const BRIGHT_VERSION: u32 = 13;
+/// The same where the lamp lights a spot ([`is_spot`]) or a mask hides part of the picture, on both tracks: what changed
+/// last is their exposure alone.
+const METERED_VERSION: u32 = 14;
 
 /// Revision of the code that films a sequence.
 pub fn revision() -> String {
@@ -23,6 +27,7 @@ pub fn revision() -> String {
 /// Version of what films `case`.
 pub(super) fn simulator_version(case: &Case) -> u32 {
     match material(case) {
+        _ if is_spot(case.scope.emission_half_angle_deg) || case.scope.mask_radius > 0.0 => METERED_VERSION,
         Ok(material) if !material.is_dark() => BRIGHT_VERSION,
         _ if case.clinical.is_some() => CLINICAL_VERSION,
         _ => IDEAL_VERSION,
