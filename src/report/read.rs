@@ -61,7 +61,7 @@ impl CaseFacts {
 /// In what two runs are not of the same work.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OtherWork {
-    /// The conditions of both, where they differ.
+    /// The conditions of both, where they differ: they make the numbers those of another task.
     pub conditions: Option<String>,
     /// Rows that are run by the program's settings in one run alone, sorted.
     pub settings: Vec<String>,
@@ -197,8 +197,8 @@ impl Results {
         is_known && self.machines.len() == 1 && self.machines == other.machines
     }
 
-    /// In what this program ran otherwise than for `other`, a sentence each: by conditions, which make the numbers those of
-    /// another task, and by settings. Nothing where either is of an older version or of predictions alone.
+    /// In what this run is not of the work of `other`. Nothing where either is of an older version or of predictions alone,
+    /// which say nothing of it.
     pub fn other_work(&self, other: &Results) -> OtherWork {
         let is_told = |results: &Results| ![String::new(), EVALUATION.to_owned()].contains(&results.profile);
         if !is_told(self) || !is_told(other) {
