@@ -36,7 +36,8 @@ pub struct Part {
 /// Merges `parts`; a cell that several have is taken from the last, and the report says so.
 ///
 /// Errors: a method with rows of this program's runs and of predictions that `evaluate` scored; two different
-/// predictions of one name, or of names that look alike; with [`Films::Same`], two parts that scored different films of one case.
+/// predictions of one name, or of names that look alike; with [`Films::Same`], two parts that scored different films of one
+/// case.
 pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     // A part may itself be a merged run.
     let mut ids: Vec<String> = Vec::new();

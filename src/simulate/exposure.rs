@@ -232,20 +232,27 @@ mod tests {
     use crate::base::TriangleMesh;
     use crate::render::Material;
 
-    /// Before an even wall the light falls with the third power of the cosine: two of the distance, one of the slant.
-    #[test]
-    fn the_proxy_of_an_even_wall_has_a_closed_form() {
+    fn camera() -> Camera {
+        Camera::pinhole(96, 96, 1.5)
+    }
+
+    /// The proxy of an even wall 20 mm before the camera.
+    fn of_even_wall(light: &Light, mask_radius: f64, albedo: [f64; 3]) -> Vec<[f64; 3]> {
         let corners = [[-500.0, -500.0], [500.0, -500.0], [500.0, 500.0], [-500.0, 500.0]];
         let vertices = corners.map(|[x, y]| DVec3::new(x, y, 20.0)).to_vec();
         let mesh = TriangleMesh { vertices, faces: vec![[0, 2, 1], [0, 3, 2]] };
-        let albedo = [0.7, 0.4, 0.3];
         let scene = Scene::new(&mesh, &[], Material::lambert(albedo), 1).unwrap();
-        let (camera, light) = (Camera::pinhole(96, 96, 1.5), Light::at_camera([300.0, 200.0, 100.0]));
-        let scope = ScopeSettings { vignette: 0.0, ..ScopeSettings::default() };
-        let found = proxy_radiance(&scene, &camera, &DAffine3::IDENTITY, &light, &scope, albedo).unwrap();
+        let scope = ScopeSettings { vignette: 0.0, mask_radius, ..ScopeSettings::default() };
+        proxy_radiance(&scene, &camera(), &DAffine3::IDENTITY, light, &scope, albedo).unwrap()
+    }
+
+    /// Before an even wall the light falls with the third power of the cosine: two of the distance, one of the slant.
+    #[test]
+    fn the_proxy_of_an_even_wall_has_a_closed_form() {
+        let (albedo, light) = ([0.7, 0.4, 0.3], Light::at_camera([300.0, 200.0, 100.0]));
+        let (camera, found) = (camera(), of_even_wall(&light, 0.0, albedo));
         // What a mask hides counts nowhere.
-        let masked = ScopeSettings { mask_radius: 0.5, ..scope };
-        let masked = proxy_radiance(&scene, &camera, &DAffine3::IDENTITY, &light, &masked, albedo).unwrap();
+        let masked = of_even_wall(&light, 0.5, albedo);
         let (seen, all) = (masked.len() as f64, found.len() as f64);
         assert!((seen / all / (std::f64::consts::PI / 16.0) - 1.0).abs() < 0.02, "{seen} of {all}");
         let darkest = |values: &[[f64; 3]]| values.iter().map(|v| v[0]).fold(f64::INFINITY, f64::min);
@@ -266,17 +273,10 @@ mod tests {
     /// it would be black, and the film white.
     #[test]
     fn beside_a_spot_the_wall_is_lit_by_what_comes_back() {
-        let corners = [[-500.0, -500.0], [500.0, -500.0], [500.0, 500.0], [-500.0, 500.0]];
-        let vertices = corners.map(|[x, y]| DVec3::new(x, y, 20.0)).to_vec();
-        let mesh = TriangleMesh { vertices, faces: vec![[0, 2, 1], [0, 3, 2]] };
         let albedo = [0.6, 0.4, 0.3];
-        let scene = Scene::new(&mesh, &[], Material::lambert(albedo), 1).unwrap();
         let of = |half_angle_deg: f64| {
             let emission_exponent = Light::exponent_of_half_angle(half_angle_deg);
-            let light = Light { emission_exponent, ..Light::at_camera([300.0; 3]) };
-            let camera = Camera::pinhole(96, 96, 1.5);
-            let scope = ScopeSettings { vignette: 0.0, ..ScopeSettings::default() };
-            proxy_radiance(&scene, &camera, &DAffine3::IDENTITY, &light, &scope, albedo).unwrap()
+            of_even_wall(&Light { emission_exponent, ..Light::at_camera([300.0; 3]) }, 0.0, albedo)
         };
         for (half_angle_deg, full) in
             [(5.0, true), (12.0, true), (19.9, true), (25.0, false), (30.0, false), (60.0, false)]
@@ -291,7 +291,6 @@ mod tests {
                 assert!((1.0..1.1).contains(&share), "{half_angle_deg}: {share}");
             }
             let gain = wanted_gain(&found, 0.42).unwrap();
-            // Without what comes back, 1e6 and more.
             assert!(gain < 1e3, "{half_angle_deg}: {gain}");
         }
         assert!(!is_spot(0.0));
